@@ -29,9 +29,10 @@ class Held:
         "solution.command")
     transient_command: FloatArray = kept("vgmN", INPUT, "the command without the wall's predicted feedback",
         "transient_command")
-    plant_input: FloatArray = kept("vgmN", INPUT, "what drives the plant at the switching instants", "plant_input")
-    acceleration_m_s2: FloatArray = kept("vgpN", "m/s^2", "y'' of the stylus there, as predicted", "predicted_m_s2")
-    acceleration_after_m_s2: FloatArray = kept("vgpM", "m/s^2", "y'' after the last command, as predicted",
+    plant_input: FloatArray = kept("vgmN", INPUT, "plant input at the switching instants", "plant_input")
+    acceleration_m_s2: FloatArray = kept("vgpN", "m/s^2",
+        "predicted y'' of the stylus at the switching instants", "predicted_m_s2")
+    acceleration_after_m_s2: FloatArray = kept("vgpM", "m/s^2", "predicted y'' after the last command",
         "after_m_s2", replayed=True)
     recorded_before_m_s2: FloatArray = kept("vgpL", "m/s^2",
         "r, the recorded acceleration, from contact to the first command that acts")
@@ -39,30 +40,30 @@ class Held:
     recorded_after_m_s2: FloatArray = kept("vgpM", "m/s^2",
         "r after the last command, 0 where the recording has ended")
     free_before_m_s2: FloatArray = kept("vgpL", "m/s^2",
-        "a_free, how the stylus accelerates without a command, before the first")
+        "a_free, acceleration of the stylus without a command, from contact to the first command that acts")
     free_m_s2: FloatArray = kept("vgpN", "m/s^2", "a_free at the switching instants")
     free_after_m_s2: FloatArray = kept("vgpM", "m/s^2", "a_free after the last command")
     target_before_m_s2: FloatArray = kept("vgpL", "m/s^2",
-        "what J asks of y'' where no command can reach it, r - a_free", "problem.target.before_m_s2")
+        "target of y'' where no command can reach it, r - a_free", "problem.target.before_m_s2")
     target_m_s2: FloatArray = kept("vgpN", "m/s^2",
-        "what J asks of y'' at the switching instants, r - a_free and the correction of a refined library",
+        "target of y'' at the switching instants, r - a_free and the correction of a refined library",
         "problem.target.window_m_s2")
-    target_after_m_s2: FloatArray = kept("vgpM", "m/s^2", "what J asks of y'' after the last command, r - a_free",
+    target_after_m_s2: FloatArray = kept("vgpM", "m/s^2", "target of y'' after the last command, r - a_free",
         "problem.target.after_m_s2")
-    target_ends_s: FloatArray = kept("v", "s", "when a named target is over, from its beginning on", needs="targets")
+    target_ends_s: FloatArray = kept("v", "s", "duration of a named target", needs="targets")
     nominal_position_m: FloatArray = kept("vgN", "m",
-        "z_nom, where the stylus is without a command, at the switching instants")
-    nominal_velocity_m_s: FloatArray = kept("vgN", "m/s", "its derivative there")
+        "z_nom, position of the stylus without a command, at the switching instants")
+    nominal_velocity_m_s: FloatArray = kept("vgN", "m/s", "dz_nom/dt at the switching instants")
     nominal_position_at_ticks_m: FloatArray = kept("vgN", "m", "z_nom at the ticks, where encoders are read")
     nominal_after_at_ticks_m: FloatArray = kept("vgM", "m", "z_nom at the M ticks that follow")
     tap_error: FloatArray = kept("vg", "",
         "|y'' + a_free - r| / |r| over the intention after replay, nothing filtered", "figures.tap_error",
         replayed=True)
     felt_error: FloatArray = kept("vg", "",
-        "the same through a band-pass of 120 to 620 Hz, over all samples; NaN where the servo cannot carry it",
+        "tap error after a band-pass of 120 to 620 Hz, over all samples; NaN where the servo rate is too low for it",
         "figures.felt_error", may_be_nan=True, replayed=True)
-    felt_dB: FloatArray = kept("vg", "dB", "energy in that band over that of r", "figures.felt_dB", may_be_nan=True,
-        replayed=True)
+    felt_dB: FloatArray = kept("vg", "dB", "energy of the played acceleration in that band over that of r",
+        "figures.felt_dB", may_be_nan=True, replayed=True)
     speed_change: FloatArray = kept("vg", "",
         "change of speed over the intention, played over recorded; NaN of a target that changes none",
         "figures.speed", may_be_nan=True, replayed=True)
@@ -91,13 +92,13 @@ class Held:
         "angle by which that error turns the acceleration, by the sizes of both", "direction_rad", replayed=True,
         needs="several motors")
     floor: FloatArray = kept("vg", "", "tap error of the optimum without limits", "floor")
-    linear_command: FloatArray = kept("vgN", INPUT, "command of the design for the plant as it is at rest",
+    linear_command: FloatArray = kept("vgN", INPUT, "command designed for the plant linearised at rest",
         lambda entry: np.zeros(entry.problem.grid.stages) if entry.linear_command is None else entry.linear_command,
         needs="nonlinear")
-    tap_error_promised: FloatArray = kept("vg", "", "of that command on the plant as it is at rest",
+    tap_error_promised: FloatArray = kept("vg", "", "tap error of `linear_command` on the plant linearised at rest",
         lambda entry: 0.0 if entry.linear_command is None else entry.linear_promised, replayed=True,
         needs="nonlinear")
-    tap_error_linear: FloatArray = kept("vg", "", "of that command on the nonlinear plant after replay",
+    tap_error_linear: FloatArray = kept("vg", "", "tap error of `linear_command` on the nonlinear plant after replay",
         lambda entry: 0.0 if entry.linear_command is None else entry.linear_tap_error, may_be_nan=True,
         replayed=True, needs="nonlinear")
     instants_within: FloatArray = kept("vg3", "",
@@ -106,7 +107,8 @@ class Held:
     substeps: FloatArray = kept("vg", "", "steps of the nonlinear stage in a servo period, 1 to 32",
         lambda entry: 0.0 if entry.designed.nonlinear is None else entry.designed.nonlinear.stage.substeps,
         needs="nonlinear")
-    peak_input: FloatArray = kept("vg", INPUT, "largest size of it in the replay", "played.peak_input", replayed=True)
+    peak_input: FloatArray = kept("vg", INPUT, "largest plant input in the replay, without its sign",
+        "played.peak_input", replayed=True)
     peak_temperature_C: FloatArray = kept("vg", "C", "hottest winding of the replay, NaN without a motor's data",
         "played.winding_C", may_be_nan=True, replayed=True)
     objective: FloatArray = kept("vg", "", "J of the command", "certificate.objective")
@@ -117,25 +119,25 @@ class Held:
     duality_gap: FloatArray = kept("vg", "", "bound on J - optimum", "certificate.duality_gap")
     lower_bound: FloatArray = kept("vg", "", "rigorous bound on the optimum from below", "certificate.lower_bound")
     solve_time_s: FloatArray = kept("vg", "s", "wall time of the solve", "solution.solve_time_s")
-    status: NDArray[np.str_] = kept("vg", "", "how the entry ended", "status.value", is_text=True)
+    status: NDArray[np.str_] = kept("vg", "", "status of the entry", "status.value", is_text=True)
     binding: NDArray[np.str_] = kept("vg", "", "the limits that bind, and when", "binding", is_text=True)
     current_sign: FloatArray = kept("vgN", "", "slope of |mean i| over each period, by which ripple heats",
         "solution.multipliers.slope", needs="temperature_C")
     mu_end: FloatArray = kept("vgmh", "1/A", "multiplier of the hand-over, of either sign",
         "solution.multipliers.hand_over")
     plant_A: FloatArray = kept("gnn", "", "dx/dt = A x + B i of the device at each grip")
-    plant_B: FloatArray = kept("gni", "", "its B")
+    plant_B: FloatArray = kept("gni", "", "B of the device")
     plant_C: FloatArray = kept("gon", "", "y'' = C x + D i")
     plant_D: FloatArray = kept("goi", "", "its D")
     plant_Ce: FloatArray = kept("g1n", "", "encoder position = Ce x")
     correction_m_s2: FloatArray = kept("vgpN", "m/s^2",
-        "added to the target where the device's own taps have been learnt from", needs="refinement")
+        "correction of the target that was learnt from taps on the device", needs="refinement")
     spread_A: FloatArray = kept("gsnn", "", "A of further devices that a robust entry serves", needs="spread")
     spread_B: FloatArray = kept("gsni", "", "their B", needs="spread")
     spread_C: FloatArray = kept("gson", "", "their C", needs="spread")
     spread_D: FloatArray = kept("gsoi", "", "their D", needs="spread")
     spread_Ce: FloatArray = kept("gs1n", "", "their Ce", needs="spread")
     spread_share: FloatArray = kept("vgs", "",
-        "their shares in J, of the worst device's saddle point; the rest is the own",
+        "weights of the further devices in J at the saddle point of the worst device; the entry's own has the rest",
         lambda entry: entry.problem.shared[1:], needs="worst")
     # fmt: on

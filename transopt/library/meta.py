@@ -44,18 +44,22 @@ def _needed(meaning: str, null: str = "", *, whole: bool = False) -> Stated:
 
 # Dotted path -> declaration. The ending of a name is its unit (`transopt.base.units`).
 META = {
-    "schema": _needed("which form the file has: 4"),
+    "schema": _needed("version of the file format: 4"),
     "scene": _needed("the scene as it was read, every key; `transopt scene keys` says what they are", whole=True),
     "derived": _needed("the problem in numbers that follow from the scene, for readers without this project"),
     "derived.dt_s": _needed("servo period"),
     "derived.lead_s": _needed("how long before contact a waveform starts"),
-    "derived.hand_over_samples": _needed("so many commands at the end are the wall's own, zero without one"),
-    "derived.intention_s": _needed("how long after contact the tap error is told; all of a named target"),
-    "derived.amplifier": _needed("between command and the plant's input", "ideal: the command is the input"),
-    "derived.amplifier.pole_Hz": Stated("where its low-pass has lost 3 dB"),
+    "derived.hand_over_samples": _needed(
+        "number of commands at the end that the wall alone makes; they are zero without a wall"
+    ),
+    "derived.intention_s": _needed(
+        "time after contact over which the tap error is computed; the whole window of a named target"
+    ),
+    "derived.amplifier": _needed("amplifier between command and plant input", "ideal: the command is the input"),
+    "derived.amplifier.pole_Hz": Stated("pole of its low-pass, the frequency of -3 dB"),
     "derived.amplifier.delay_s": Stated("pure delay, beyond the hold of the command"),
     "derived.amplifier.command_limit": Stated("largest command [A or V]"),
-    "derived.limits": _needed("limits on what every plant has"),
+    "derived.limits": _needed("limits that every plant has"),
     "derived.limits.plant_input": _needed("largest current or voltage at any time [A or V]"),
     "derived.limits.slew_per_s": _needed("fastest change of the command [A/s or V/s]", "not asked for"),
     "derived.exact": _needed("true: these limits are all; false: another limit, a spread, a wall or intensity is in"),
@@ -63,7 +67,7 @@ META = {
     "derived.spread": _needed("whether each command serves further devices"),
     "derived.movement_weight": _needed("rho (1e-4 s / dt)^2 / (N I^2), of the squared changes of the command"),
     "derived.terms": _needed("terms of the error in J: name, filter b / a, weights before, in and after", whole=True),
-    "derived.felt": _needed("band in which the felt error is told: b / a", "the servo rate does not carry it"),
+    "derived.felt": _needed("band-pass of the felt error: b / a", "the servo rate does not carry it"),
     "derived.felt.b": Stated("numerator in 1/z"),
     "derived.felt.a": Stated("denominator in 1/z"),
     "left_out": _needed("part of the problem -> why it cannot matter, or a table of reasons by entry", whole=True),
@@ -73,11 +77,11 @@ META = {
     ),
     "slow_part_known": _needed("by speed and grip: whether what is slower than the tap was recorded", whole=True),
     "sources": _needed("recordings and model files by name and SHA-256, and how they were prepared", whole=True),
-    "versions": _needed("of this project and of what it computed with", whole=True),
+    "versions": _needed("versions of this project and of its numerical packages", whole=True),
     "solver": _needed("method and its options", whole=True),
     "outputs": Stated("outputs of the plant that limits bound, by grip", whole=True),
     "spread_outputs": Stated("the same of the further devices of a spread, by grip and device", whole=True),
-    "instants_within": Stated("the most of the array of that name; not there where it is zero"),
+    "instants_within": Stated("largest value of the array `instants_within`; absent where it is zero"),
     "grid_refinement": Stated("what `--grid-tolerance` reached", "the grid was taken as it stood", whole=True),
     "refinement": Stated("what `transopt-play refine` learnt on the device, by round", whole=True),
 }
@@ -94,7 +98,7 @@ def stated(scene: "Scene", meta: dict[str, Any]) -> set[str]:
     The temperature is among them if it is a constraint of at least one entry.
     """
     several = scene.model.kind == "arm"
-    said = {
+    conditions = {
         "several motors": several,
         "one motor": not several,
         "targets": bool(scene.targets),
@@ -111,7 +115,7 @@ def stated(scene: "Scene", meta: dict[str, Any]) -> set[str]:
     }
     # An arm stores multipliers for each motor (`further_arrays`) in place of these.
     limits = {key for key, value in scene.limits.asked().items() if value is not None and not several}
-    return {name for name, has in said.items() if has} | (limits - {TemperatureLimit.key})
+    return {name for name, holds in conditions.items() if holds} | (limits - {TemperatureLimit.key})
 
 
 def parts_of(instants_within: Any) -> int:

@@ -46,7 +46,7 @@ class Trials(NamedTuple):
 
 def trials(
     read: Callable[[Answer], Found],
-    said: Callable[[Found], str],
+    describe: Callable[[Found], str],
     doubt: Callable[[Found], UnclearError | None],
     odd: Callable[[Found], float],
     unclear: UnclearError,
@@ -56,7 +56,7 @@ def trials(
 
     Parameters
     ----------
-    read : reads the file with an answer. said : describes a result. doubt : the question that a result raises, or
+    read : reads the file with an answer. describe : describes a result. doubt : the question that a result raises, or
         None.
     odd : distance of a result from a usual tap. unclear : the question.
     stated : what is stated already; a proposal that adds units repeats the units in it.
@@ -66,9 +66,9 @@ def trials(
     refused = list[str]()
     until, count = time.process_time() + TRIAL_S, 0
 
-    def follow(asked: UnclearError, before: Answer, depth: int, unlikely: float) -> None:
+    def follow(question: UnclearError, before: Answer, depth: int, unlikely: float) -> None:
         nonlocal count
-        for place, each in enumerate(asked.answers):
+        for place, each in enumerate(question.answers):
             count += 1
             if count > MOST_TRIALS or time.process_time() > until:
                 return
@@ -76,14 +76,14 @@ def trials(
             try:
                 found = read(joined(stated, answer))
             except UnclearError as more:
-                if depth < DEEPEST and more.answers != asked.answers:
+                if depth < DEEPEST and more.answers != question.answers:
                     follow(more, answer, depth + 1, unlikely + UNLIKELY * place)
             except InputError as error:
                 refused.append(f"with {options(answer)}: {error}")
             else:
-                question = doubt(found)
-                is_good = question is None or "implausible" not in question.answers[-1]
-                words = said(found) if is_good else f"{said(found)}; implausible"
+                doubted = doubt(found)
+                is_good = doubted is None or "implausible" not in doubted.answers[-1]
+                words = describe(found) if is_good else f"{describe(found)}; implausible"
                 # If an option is given twice, the last one counts, so a proposal has to repeat all stated units.
                 whole = {**answer, "units": joined(stated, answer)["units"]} if "units" in answer else answer
                 if not is_good:
@@ -103,7 +103,7 @@ def in_a_line(unclear: UnclearError, tried: Trials, form: Callable[[Answer], str
     if not tried.good:
         refused = tried.refused.replace(shown_path(unclear.file), "") or "no answer was tried in time"
         return printable(f"{lead}; nothing that is usual for it reads the file, {refused}")
-    named = " or ".join(f"{form(answer)} ({said})" for answer, said in tried.good[:MOST_NAMED])
+    named = " or ".join(f"{form(answer)} ({words})" for answer, words in tried.good[:MOST_NAMED])
     return printable(f"{lead}; tried on it, of which only you know the right one: {named}")
 
 

@@ -85,12 +85,12 @@ class Crew:
         try:
             # Neighbours in the order share a grip and so its device, which each process builds only once.
             own, *others = _shares(order, len(self._members) + 1)
-            asked = [
+            pending = [
                 (member, share, member.ask(name, service, share))
                 for member, share in zip(list(self._members), others, strict=False)
             ]
             found = service.quick(own)
-            for member, share, answer in asked:
+            for member, share, answer in pending:
                 found += self._answer(member, share, answer, service)
             return found
         finally:
@@ -124,7 +124,7 @@ class _Member:
         self._sent: OrderedDict[str, str] = OrderedDict()
 
     def ask(self, name: str, service: Service, share: Sequence[int]) -> "Future[list[Shown]]":
-        """Submit a share of a window's taps."""
+        """Submit a share of a window's taps; the service itself is sent where the process does not have it."""
         whole, axis = None, service.axis
         if self._sent.get(name) != axis:
             # The process does not have this service yet, or has references on another time axis.
@@ -133,8 +133,8 @@ class _Member:
         self._sent.move_to_end(name)
         if len(self._sent) > KEPT:
             self._sent.popitem(last=False)
-        asked = service.scene, service.probe, service.winding_C
-        return self.process.submit(_share, name, whole, asked, list(share))
+        state = service.scene, service.probe, service.winding_C
+        return self.process.submit(_share, name, whole, state, list(share))
 
 
 _services: OrderedDict[str, Service] = OrderedDict()
@@ -147,17 +147,17 @@ def _ready() -> None:
 def _share(
     name: str,
     whole: bytes | None,
-    asked: tuple[Scene, tuple[float, float] | None, float | None],
+    state: tuple[Scene, tuple[float, float] | None, float | None],
     share: list[int],
 ) -> list[Shown]:
-    """What a process of the crew does: scene, tap between the nodes and temperature of the winding are asked for."""
+    """Solve a share in a process of the crew; `state` is scene, tap between the nodes and winding temperature."""
     if whole is not None:
         _services[name] = pickle.loads(whole)
     _services.move_to_end(name)
     if len(_services) > KEPT:
         _services.popitem(last=False)
     service = _services[name]
-    service.scene, service.probe, service.winding_C = asked
+    service.scene, service.probe, service.winding_C = state
     return bounded(MOST_S, lambda: service.quick(share))
 
 

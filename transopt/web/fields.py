@@ -22,8 +22,8 @@ ELSEWHERE = (
 
 
 @dataclass(frozen=True)
-class Said:
-    """A refusal.
+class Refusal:
+    """A refusal in the words of the page.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Said:
     key: str
 
 
-def in_words(words: str, service: Service | None) -> Said:
+def in_words(words: str, service: Service | None) -> Refusal:
     """A message of the project in the words of the page's own fields."""
     key = ""
     if service is not None:
@@ -48,4 +48,4 @@ def in_words(words: str, service: Service | None) -> Said:
                 words = words.replace(control.key, control.label)
     for pattern, instead in ELSEWHERE:
         words = re.sub(pattern, instead, words)
-    return Said(words, key)
+    return Refusal(words, key)

@@ -123,8 +123,8 @@ def described(service: Service) -> dict[str, Any]:
 def _columns(scene: Scene) -> list[dict[str, str]]:
     """Name, head and meaning of the numeric columns of the page's table."""
     driven, named = scene.driven_by, bool(scene.targets)
-    told = EntryTable((), FIGURES, (), driven.unit).meanings(driven.name, named=named)
-    found = [(name, COLUMNS[name].head, told.get(COLUMNS[name].head, "")) for name in FIGURES]
+    meanings = EntryTable((), FIGURES, (), driven.unit).meanings(driven.name, named=named)
+    found = [(name, COLUMNS[name].head, meanings.get(COLUMNS[name].head, "")) for name in FIGURES]
     cut = f"error of the optimum without limits after its {driven.name} was cut at the limit"
     found.insert(2, ("clipped", "clipped %", cut))
     return [{"name": name, "head": head, "meaning": meaning} for name, head, meaning in found]

@@ -57,11 +57,11 @@ def _solved(posed: Posed, entry: Entry, price: Price, options: SolverOptions) ->
     if limit is None or not price.bound > 0 or limit.step_unit != limit.unit:
         return {}  # a share of a temperature has no meaning, as its zero is arbitrary
     widest = price.enough if np.isfinite(price.enough) else price.bound + price.step
-    asked = np.linspace(TIGHTEST * price.bound, max(widest, price.bound), POINTS + 2)[:-1]
-    problems = [posed.problem.replaced(limit.raised(float(bound) - price.bound)) for bound in asked]
+    bounds = np.linspace(TIGHTEST * price.bound, max(widest, price.bound), POINTS + 2)[:-1]
+    problems = [posed.problem.replaced(limit.raised(float(bound) - price.bound)) for bound in bounds]
     found = design([replace(posed, problem=problem) for problem in problems], options=options)
     return {
         float(bound): other.problem.yardstick.tap_error(other.told, other.predicted_m_s2)
-        for bound, other in zip(asked, found, strict=True)
+        for bound, other in zip(bounds, found, strict=True)
         if other.solution.status is Status.OPTIMAL and other.certificate.accepted
     }

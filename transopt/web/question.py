@@ -76,7 +76,7 @@ def movers(service: Service, index: int, given_up: Callable[[], bool] = lambda: 
     return sorted(found, key=lambda mover: (mover.key.startswith("weights."), mover.best))
 
 
-def asked(service: Service, index: int, control: Control, tap_error: float) -> Found:
+def limit_for_error(service: Service, index: int, control: Control, tap_error: float) -> Found:
     """The least value of a key at which one tap has at most this error, every value solved and certified.
 
     Parameters
@@ -124,8 +124,8 @@ def asked(service: Service, index: int, control: Control, tap_error: float) -> F
     least = f"{answered.met.value:.4g}{unit}{ends}"
     if needed:
         return Found(answered.met.value, needed, f"{wanted} takes a {control.label} of {least}")
-    said = f"Nothing need be done: {place.title} has {percent(now)} % already"
-    return Found(answered.met.value, needed, f"{said}; a {control.label} of {least} would do")
+    words = f"Nothing need be done: {place.title} has {percent(now)} % already"
+    return Found(answered.met.value, needed, f"{words}; a {control.label} of {least} would do")
 
 
 def _tap_error(service: Service, index: int, changes: dict[str, Value]) -> tuple[float, str]:

@@ -135,8 +135,8 @@ def application(opener: Callable[[], Service], crew: Crew, token: str, port: int
     async def window(connection: WebSocket) -> None:
         await connection.accept()
         if len(windows) >= MOST_WINDOWS:
-            said = f"{MOST_WINDOWS} windows are open: close one of them, and load this page again"
-            await connection.send_text(json.dumps({"type": "refused", "about": "open", "words": said}))
+            words = f"{MOST_WINDOWS} windows are open: close one of them, and load this page again"
+            await connection.send_text(json.dumps({"type": "refused", "about": "open", "words": words}))
             await connection.close()
             return
         loop, outgoing = asyncio.get_running_loop(), asyncio.Queue[str | bytes]()
@@ -265,6 +265,6 @@ def _bound(port: int | None) -> socket.socket:
         listening.close()
         if port is None:
             return _bound(0)
-        said = getattr(error, "strerror", None) or error
-        raise InputError(f"--port {port}: cannot be used ({said}): choose another, or leave it out") from None
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"--port {port}: cannot be used ({reason}): choose another, or leave it out") from None
     return listening

@@ -299,10 +299,10 @@ class Service:
         admitted = entry.admitted
         reason, warm = "", self._warm(index, entry) if admitted else None
         if not admitted:
-            said = list(dict.fromkeys([entry.status.value, *entry.shortfalls]))
+            status, *shortfalls = dict.fromkeys([entry.status.value, *entry.shortfalls])
             posed = SceneEntry(self.context, place.grip_N, self.reference(place))
             found = remedies(posed, entry, self.options, Work(MOST_REMEDY_WORK))
-            reason = ": ".join([said[0], "; ".join(filter(None, [*said[1:], what_would_do(found)]))])
+            reason = ": ".join([status, "; ".join(filter(None, [*shortfalls, what_would_do(found)]))])
         return Shown(
             index=index,
             certified=admitted,

@@ -24,7 +24,7 @@ from transopt.web.crew import Crew, service_name
 from transopt.web.fields import in_words
 from transopt.web.frames import arrays, curves, frame
 from transopt.web.opening import described, gallery, opened
-from transopt.web.question import asked, movers
+from transopt.web.question import limit_for_error, movers
 from transopt.web.service import Service
 from transopt.web.shown import plain
 from transopt.web.upload import Upload, uploadable
@@ -114,10 +114,10 @@ class Session:
             words = f"{type(error).__name__}: {error}: this is a fault of the program; please report it"
         else:
             return
-        said = in_words(words, self.service)
-        key = said.key if about == "change" else ""
+        refusal = in_words(words, self.service)
+        key = refusal.key if about == "change" else ""
         self._say(
-            {"type": "refused", "about": about, "id": (message or {}).get("id"), "words": said.words, "key": key}
+            {"type": "refused", "about": about, "id": (message or {}).get("id"), "words": refusal.words, "key": key}
         )
 
     def _open(self) -> None:
@@ -193,7 +193,7 @@ class Session:
             {
                 "type": "answer",
                 "key": control.key,
-                **vars(asked(service, self._index(message), control, float(message["tap_error"]))),
+                **vars(limit_for_error(service, self._index(message), control, float(message["tap_error"]))),
             }
         )
 

@@ -65,8 +65,8 @@ def on_warm_coil(
         (second,) = design([replace(posed, warmer=first.designed, cool_share=share)], options=options)
         if not second.certificate.accepted:
             unknown = np.full(problem.grid.stages + problem.grid.after_stages, np.nan)
-            said = f"its cool command is not certified: {second.solution.status.value}"
-            return Warm(said, np.nan, np.nan, None, np.nan), unknown, unknown
+            words = f"its cool command is not certified: {second.solution.status.value}"
+            return Warm(words, np.nan, np.nan, None, np.nan), unknown, unknown
         cool = second.transient_command
         feedback_A = max(feedback_A, beside(second))
         scale, cooled = room.allowed(winding_C, winding_C, transient_A, size(cool), feedback_A, ticks)

@@ -191,7 +191,7 @@ def test_every_control_is_reached_by_the_keyboard_and_moves(window: Window) -> N
         slider.focus()
         slider.press("PageUp" if slider.input_value() == slider.get_attribute("min") else "PageDown")
         playwright.expect(slider).not_to_have_attribute("aria-valuetext", before)
-        assert key in window.state("asked.changes") or key in ("limits.beta", "limits.current_A")
+        assert key in window.state("requested.changes") or key in ("limits.beta", "limits.current_A")
     for choice in window.see("#sliders select").all():
         choice.select_option(index=choice.locator("option").count() - 1)
     window.says("#state", re.compile("of 2 certified"))
@@ -221,7 +221,7 @@ def test_numbers_are_typed_and_steps_undone_and_done_again(window: Window) -> No
     window.see("[data-key='limits.current_A'] .back").click()
     window.rests()
     assert number.input_value() == "4"
-    assert window.state("asked.changes") == {}
+    assert window.state("requested.changes") == {}
     assert window.limit() == pytest.approx(4.0)
 
 
@@ -235,10 +235,10 @@ def test_what_is_refused_is_said_at_its_field_and_a_limit_is_switched_on_and_off
     row = window.see("[data-key='limits.supply_V']")
     row.locator("input[type=checkbox]").check()
     window.rests()
-    assert window.state("asked.changes")["limits.supply_V"] == pytest.approx(10, rel=0.02)
+    assert window.state("requested.changes")["limits.supply_V"] == pytest.approx(10, rel=0.02)
     row.locator("input[type=checkbox]").uncheck()
     assert row.locator("input.number").input_value() == ""
-    assert window.state("asked.changes") == {}
+    assert window.state("requested.changes") == {}
 
 
 def test_the_limit_is_dragged_in_the_plot_by_pointer_and_by_keys(window: Window) -> None:

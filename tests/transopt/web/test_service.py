@@ -17,7 +17,7 @@ from transopt.problem.answer import Status
 from transopt.scene.recordings import recordings_of
 from transopt.web.controls import controls
 from transopt.web.opening import described, opened, own_taps
-from transopt.web.question import asked, movers
+from transopt.web.question import limit_for_error, movers
 from transopt.web.service import Service
 from transopt.web.shown import FIGURES, Shown, plain
 
@@ -113,13 +113,13 @@ def test_what_cannot_be_met_is_not_shown_and_says_what_would_do() -> None:
 
 def test_the_inverse_question_finds_the_limit_that_an_error_needs(service: Service) -> None:
     (control,) = [each for each in controls(service.scene) if each.key == "limits.current_A"]
-    found = asked(service, 1, control, 0.25)
+    found = limit_for_error(service, 1, control, 0.25)
     assert isinstance(found.value, float)
     service.change({control.key: found.value})
     assert _tap_error(service.quick([1])[0]) <= 0.25
     service.change({control.key: found.value - 0.02})
     assert _tap_error(service.quick([1])[0]) > 0.25
-    none = asked(service, 1, control, 1e-4)
+    none = limit_for_error(service, 1, control, 1e-4)
     assert none.value is None
     assert "met by no" in none.words
     assert "no limit at all leaves" in none.words
@@ -127,7 +127,7 @@ def test_the_inverse_question_finds_the_limit_that_an_error_needs(service: Servi
 
 def test_nothing_need_be_done_for_an_error_that_is_met(service: Service) -> None:
     (control,) = [each for each in controls(service.scene) if each.key == "limits.current_A"]
-    found = asked(service, 0, control, 0.5)
+    found = limit_for_error(service, 0, control, 0.5)
     assert not found.needed
     assert "Nothing need be done" in found.words
     assert isinstance(found.value, float)

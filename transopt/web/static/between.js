@@ -1,4 +1,4 @@
-// A tap more, at any speed and grip between the nodes.
+// One additional tap, at any speed and grip between the nodes.
 
 import { Field } from "./field.js";
 import { by } from "./words.js";

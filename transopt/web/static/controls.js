@@ -1,4 +1,4 @@
-// Sliders and choices, made from what the server says of the scene's keys.
+// Sliders and choices, made from the server's description of the scene's keys.
 
 import { Field } from "./field.js";
 import { made } from "./words.js";
@@ -9,12 +9,12 @@ const TITLES = {
 };
 
 export class Sliders {
-  // `changed(key, value, how)` whenever one moves, as of a field.
+  // `changed(key, value, how)` is called as `moved` of a field.
   constructor(element, changed) {
     Object.assign(this, { element, changed, fields: new Map() });
   }
 
-  // Made anew for a scene that is opened.
+  // Creates the sliders of a scene that is opened.
   open(controls) {
     this.fields.clear();
     this.element.replaceChildren();
@@ -52,12 +52,12 @@ export class Sliders {
     return this.fields.get(key);
   }
 
-  // What a scene with these changes states; what follows from them is known when the server has said it.
+  // Shows a scene with these changes; values that follow from them come with the server's answer.
   state(changes) {
     for (const [key, field] of this.fields) field.set(key in changes ? changes[key] : field.opened);
   }
 
-  // What the server says of the scene as it is now: one limit may follow from another.
+  // Shows the values of the server's answer: one limit may follow from another.
   follow(controls) {
     for (const control of controls) {
       const field = this.fields.get(control.key);

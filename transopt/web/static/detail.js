@@ -5,7 +5,7 @@ import { colours, sketch, within } from "./curves.js";
 import { largest } from "./words.js";
 
 const G = 9.80665; // m/s^2
-const FIRST_MS = 20; // of a tap are what is felt of it
+const FIRST_MS = 20; // time of a tap that is shown at first: what is felt of it
 const ROOM = { left: 46, right: 10, top: 4, bottom: 36, between: 13 };
 const DASHES = { clipped: "6 4", start: "2 3", warm: "9 3", limit: "2 3" };
 const WIDTHS = { optimum: 2.2, warm: 1.8, recorded: 1.5, start: 1.4, clipped: 1.3, limit: 1.5 };
@@ -44,7 +44,7 @@ export class Detail {
     }).observe(element);
   }
 
-  // A scene's time axis and input; of a tap its first milliseconds are looked at.
+  // Begins with a scene; its first milliseconds are shown once a tap is there.
   open(scene) {
     Object.assign(this, { scene, view: null, frame: null, cursor: null });
   }
@@ -112,7 +112,7 @@ export class Detail {
     return from + ((x - ROOM.left) / (this.width - ROOM.left - ROOM.right)) * (to - from);
   }
 
-  // `kept`: the scales stay, as long as something is in the hand and its curves are inside.
+  // `kept`: the scales stay while a slider or the handle is dragged, as long as the curves are inside.
   show(frame, tap, start, kept) {
     Object.assign(this, { frame, tap, start });
     if (!this.view) this.first();
@@ -161,7 +161,7 @@ export class Detail {
     if (!this.frame || !this.view || !this.width) return;
     sketch(this.svg, this.drawn(this.width, this.height, kept));
     this.element.dataset.frame = this.frame.number;
-    this.tell();
+    this.readOut();
   }
 
   // The contents of the picture, with all colours in it, so that it can be saved as it is.
@@ -217,8 +217,8 @@ export class Detail {
     return ["path", { d, stroke: colours()[curve], "stroke-width": WIDTHS[curve], ...dashes }];
   }
 
-  // What the curves are where they are read.
-  tell() {
+  // Reads out the curves at the cursor.
+  readOut() {
     const { cursor, frame, tap } = this;
     if (cursor === null) return this.read("", null);
     const { times } = frame, at = Math.min(Math.max(Math.round((cursor - times[0]) / (times[1] - times[0])), 0), times.length - 1);

@@ -1,6 +1,6 @@
 // One number: a slider, the number typed, and back to where it was.
 
-import { explain, label, made, said, shareOf, valueAt } from "./words.js";
+import { explain, label, made, quantity, shareOf, valueAt } from "./words.js";
 
 const STEPS = 400;
 
@@ -76,9 +76,9 @@ export class Field {
     if (document.activeElement !== this.range || Math.abs(this.sliderValue - shown) > 1e-3 * Math.abs(shown)) {
       this.range.value = Math.round(STEPS * shareOf(this.spec, shown));
     }
-    this.number.value = off ? "" : said(value);
+    this.number.value = off ? "" : quantity(value);
     this.number.placeholder = off ? "none" : "";
-    this.range.setAttribute("aria-valuetext", said(value, this.spec.unit));
+    this.range.setAttribute("aria-valuetext", quantity(value, this.spec.unit));
     this.element.classList.toggle("off", off);
     if (this.stated) {
       this.stated.checked = !off;
@@ -86,8 +86,8 @@ export class Field {
     }
     const back = this.opened !== undefined && value !== this.opened;
     this.back.disabled = !back;
-    label(this.back, `${this.spec.label} back to ${said(this.opened, this.spec.unit)}`);
-    explain(this.back, back ? `back to ${said(this.opened, this.spec.unit)}` : "");
+    label(this.back, `${this.spec.label} back to ${quantity(this.opened, this.spec.unit)}`);
+    explain(this.back, back ? `back to ${quantity(this.opened, this.spec.unit)}` : "");
   }
 
   complain(words) {

@@ -1,4 +1,4 @@
-// Built-in scenes to begin from, each with its last tap, which is solved when the gallery is looked at.
+// Built-in scenes to begin from, each with its last tap, which is solved when the gallery is open.
 
 import { drawSmall } from "./curves.js";
 import { by, largest, made, write } from "./words.js";

@@ -1,6 +1,6 @@
-// The limit in the plot, which shows what is asked for: dragged, or moved by the arrow keys.
+// The handle of the limit in the plot. It shows the value that the user has set, by dragging or by the arrow keys.
 
-import { said } from "./words.js";
+import { quantity } from "./words.js";
 
 const FACTORS = { ArrowUp: 1.02, ArrowRight: 1.02, ArrowDown: 1 / 1.02, ArrowLeft: 1 / 1.02, PageUp: 1.2, PageDown: 1 / 1.2 };
 
@@ -35,12 +35,12 @@ export class Handle {
     this.changed(this.key, inside, how);
   }
 
-  // Where it lies now, and what it says.
+  // Position and text.
   place() {
     const { element, field } = this, y = field && this.detail.inputY(field.value);
     element.hidden = y === undefined || field.value === null;
     if (element.hidden) return;
-    const { top, bottom } = this.detail.panels.input, text = said(field.value, field.spec.unit);
+    const { top, bottom } = this.detail.panels.input, text = quantity(field.value, field.spec.unit);
     element.style.top = `${Math.min(Math.max(y, top), bottom)}px`;
     element.firstElementChild.textContent = text;
     element.setAttribute("aria-label", `limit of the ${field.spec.label} in the plot`);

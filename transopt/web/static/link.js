@@ -1,12 +1,12 @@
-// The connection to the server: JSON and binary frames, and being without one.
+// The connection to the server: messages in JSON and in binary frames. A lost connection is opened again.
 
 const RETRY_MS = 1000;
 
 export class Link {
-  // `heard(message, arrays)` gets every message; `there(connected)` whenever the connection comes or goes.
-  constructor(heard, there) {
-    this.heard = heard;
-    this.there = there;
+  // `received(message, arrays)` gets every message, `connection(connected)` every change of the connection.
+  constructor(received, connection) {
+    this.received = received;
+    this.connection = connection;
     this.open();
   }
 
@@ -15,17 +15,17 @@ export class Link {
     place.protocol = "ws:";
     this.socket = new WebSocket(place);
     this.socket.binaryType = "arraybuffer";
-    this.socket.onopen = () => this.there(true);
+    this.socket.onopen = () => this.connection(true);
     this.socket.onmessage = (event) => this.take(event.data);
     this.socket.onclose = () => {
-      this.there(false);
+      this.connection(false);
       setTimeout(() => this.open(), RETRY_MS);
     };
   }
 
   take(data) {
     if (typeof data === "string") {
-      this.heard(JSON.parse(data), {});
+      this.received(JSON.parse(data), {});
       return;
     }
     const length = new DataView(data).getUint32(0, true);
@@ -37,7 +37,7 @@ export class Link {
       at += 4 * size;
     }
     if (!head.arrays) arrays.body = new Uint8Array(data, at);
-    this.heard(head, arrays);
+    this.received(head, arrays);
   }
 
   get connected() {

@@ -74,7 +74,7 @@ export class Matrix {
   show(frame, view, hidden, start) {
     this.drawn = [frame, view, hidden, start];
     const canvases = this.cells.map((cell) => cell.querySelector("canvas"));
-    this.widths ??= canvases.map((canvas) => canvas.clientWidth); // all at once: each after a change is a layout more
+    this.widths ??= canvases.map((canvas) => canvas.clientWidth); // read together: each reading after a change costs another layout
     const taps = frame.taps.filter((tap) => tap && this.cells[tap.index]);
     const scale = { view, acceleration: Math.max(...taps.map((tap) => largest(tap.recorded_m_s2)), 1e-9),
       input: Math.max(...taps.map((tap) => tap.input_limit)) };

@@ -1,6 +1,6 @@
-// The page: what a hand does becomes requests, and every answer drives all that shows a result.
+// The page: every input of the user becomes a request, and one answer updates all displays of a result.
 
-import { Asking } from "./asking.js";
+import { Requests } from "./requests.js";
 import { Between } from "./between.js";
 import { Sliders } from "./controls.js";
 import { Detail } from "./detail.js";
@@ -20,13 +20,13 @@ import "./tips.js";
 const NOTHING = { changes: {}, probe: null, winding_C: null };
 const state = {
   scene: null, places: [], selected: 0,
-  asked: NOTHING, // what the hand wants: all that differs from the scene as it was opened
+  requested: NOTHING, // what the user has set: all that differs from the scene as it was opened
   accepted: NOTHING, // the same of the answer that is shown
   frame: null, // that answer: number, times, taps
   start: null, // the one of the scene as it was opened
   resume: false, chosen: "", moving: false, last: "",
 };
-const sentAsked = new Map();
+const sentRequests = new Map();
 const sliders = new Sliders(by("sliders"), change);
 const between = new Between((probe, how) => ask({ probe }, "probe", how));
 const warm = new Warm((winding_C, how) => ask({ winding_C }, "winding", how));
@@ -34,9 +34,9 @@ const matrix = new Matrix(by("cells"), select);
 const table = new Table(by("table"), select);
 const detail = new Detail(by("plot"), read);
 const handle = new Handle(by("handle"), detail, change);
-const link = new Link(heard, there);
-const sound = new Sound(link, tell, () => state.selected);
-const taps = new Taps(link, tell, complain);
+const link = new Link(received, connection);
+const sound = new Sound(link, announce, () => state.selected);
+const taps = new Taps(link, announce, complain);
 const gallery = new Gallery(link, choose);
 const wanted = new Wanted(link, (key, value) => {
   sliders.get(key)?.set(value);
@@ -46,51 +46,51 @@ const history = new History(({ past, future }) => {
   by("undo").disabled = !past.length;
   by("redo").disabled = !future.length;
 });
-const asking = new Asking((number, final) => {
+const requests = new Requests((number, final) => {
   if (!state.scene || !link.connected) return false;
-  sentAsked.set(number, state.asked);
-  link.say({ type: "change", id: number, ...state.asked, selected: state.selected, final });
+  sentRequests.set(number, state.requested);
+  link.say({ type: "change", id: number, ...state.requested, selected: state.selected, final });
   return true;
 });
 
-// ---- what a hand does
+// ---- input of the user
 
 function change(key, value, how) {
-  const { [key]: _, [state.scene.rivals[key]]: __, ...others } = state.asked.changes;
+  const { [key]: _, [state.scene.rivals[key]]: __, ...others } = state.requested.changes;
   const opened = sliders.get(key).opened;
   ask({ changes: value === opened ? others : { ...others, [key]: value } }, key, how);
   if (key === state.scene.input_key) handle.place();
 }
 
 function ask(what, of, how = {}) {
-  const probed = state.asked.probe;
-  state.asked = { ...state.asked, ...what };
-  if (!probed && state.asked.probe) state.selected = state.places.length;
+  const probed = state.requested.probe;
+  state.requested = { ...state.requested, ...what };
+  if (!probed && state.requested.probe) state.selected = state.places.length;
   state.last = of;
   state.moving = !how.resting;
-  if (how.step) history.note(state.asked, of, how.step);
+  if (how.step) history.note(state.requested, of, how.step);
   if (!how.answers) wanted.forget();
   solving();
-  warm.state(state.asked.winding_C);
-  asking.want(how.began);
-  if (how.resting) asking.rest(0);
+  warm.state(state.requested.winding_C);
+  requests.want(how.began);
+  if (how.resting) requests.rest(0);
 }
 
-function restore(asked) {
-  if (!asked) return;
-  state.asked = asked;
+function restore(requested) {
+  if (!requested) return;
+  state.requested = requested;
   state.moving = false;
-  showAsked();
+  showRequested();
   wanted.forget();
   solving();
-  asking.want();
-  asking.rest(0);
+  requests.want();
+  requests.rest(0);
 }
 
-function showAsked() {
-  sliders.state(state.asked.changes);
-  between.state(state.asked.probe);
-  warm.state(state.asked.winding_C);
+function showRequested() {
+  sliders.state(state.requested.changes);
+  between.state(state.requested.probe);
+  warm.state(state.requested.winding_C);
   handle.place();
 }
 
@@ -116,19 +116,19 @@ function select(index) {
 function choose(name) {
   state.chosen = name;
   state.resume = false;
-  tell("opening the scene ...");
+  announce("opening the scene ...");
   link.say({ type: "choose", name });
 }
 
 // ---- answers
 
-function there(connected) {
+function connection(connected) {
   document.body.classList.toggle("lost", !connected);
   by("banner").hidden = connected;
-  asking.forget();
+  requests.forget();
   if (connected) {
     state.resume = Boolean(state.scene);
-    tell("connected");
+    announce("connected");
   } else {
     write(by("banner"), "The server does not answer. What you have set and your own taps are kept here. This page connects again by "
       + "itself when the server is back at this address; if the command was ended, start transopt page again and open the address "
@@ -136,12 +136,12 @@ function there(connected) {
   }
 }
 
-function heard(message, arrays) {
+function received(message, arrays) {
   const answers = {
-    scene: opened, curves: drawn, settled, rested, refused, answer: (m) => { tell(""); wanted.answered(m); },
+    scene: opened, curves: drawn, settled, rested, refused, answer: (m) => { announce(""); wanted.answered(m); },
     movers: (m) => wanted.listed(m), gallery: (m) => gallery.listed(m), glimpse: (m, a) => gallery.glimpsed(m, taken(m, a)),
-    progress: (m) => tell(`${m.words} ${m.of > 1 ? `${m.done} of ${m.of}` : "..."}`),
-    sound: (m, a) => sound.heard(m, a), file: saved,
+    progress: (m) => announce(`${m.words} ${m.of > 1 ? `${m.done} of ${m.of}` : "..."}`),
+    sound: (m, a) => sound.received(m, a), file: saved,
   };
   answers[message.type](message, arrays);
 }
@@ -155,9 +155,9 @@ function opened(scene) {
   if (taps.shown(scene, again && scene.name === state.scene.name)) return; // they are sent again, and come with a scene
   const same = again && scene.name === state.scene.name;
   Object.assign(state, { scene, places: scene.places, frame: null, resume: false, moving: false });
-  asking.forget();
+  requests.forget();
   if (!same) {
-    Object.assign(state, { asked: NOTHING, start: null, selected: scene.own.length ? 0 : scene.places.length - 1 });
+    Object.assign(state, { requested: NOTHING, start: null, selected: scene.own.length ? 0 : scene.places.length - 1 });
     history.begin(NOTHING);
   }
   state.accepted = NOTHING;
@@ -166,15 +166,15 @@ function opened(scene) {
   write(by("description"), scene.own.length ? `your own taps: ${scene.own.join(", ")}` : scene.description);
   complain(scene.remarks.join("; "));
   sliders.open(scene.controls);
-  between.open(scene.between, state.asked.probe);
-  warm.open(scene.windings_C, state.asked.winding_C);
+  between.open(scene.between, state.requested.probe);
+  warm.open(scene.windings_C, state.requested.winding_C);
   detail.open(scene);
   handle.open(scene, sliders.get(scene.input_key));
   sound.forget();
   placed(scene.places);
-  showAsked();
-  asking.want();
-  asking.rest(0);
+  showRequested();
+  requests.want();
+  requests.rest(0);
 }
 
 function placed(places) {
@@ -201,16 +201,16 @@ function drawn(message, arrays) {
   for (const tap of message.taps) frame.taps[tap.index] = tap;
   const first = !state.frame;
   state.frame = frame;
-  state.accepted = sentAsked.get(message.id) ?? state.asked;
-  for (const number of sentAsked.keys()) if (number <= message.id) sentAsked.delete(number);
+  state.accepted = sentRequests.get(message.id) ?? state.requested;
+  for (const number of sentRequests.keys()) if (number <= message.id) sentRequests.delete(number);
   const opened = JSON.stringify(state.accepted) === JSON.stringify(NOTHING);
   if (opened) state.start = frame;
   if (JSON.stringify(message.places) !== JSON.stringify(state.places)) placed(message.places);
   sound.forget();
   show(state.moving);
-  const began = asking.done(message.id);
+  const began = requests.done(message.id);
   requestAnimationFrame(() => {
-    // What the eye sees of the event that began it.
+    // From the event to the frame that shows its result.
     if (began !== undefined) performance.measure("slider to frame", { start: began, end: performance.now() });
     if (first) performance.mark("first picture");
   });
@@ -239,7 +239,7 @@ function settled(message) {
 }
 
 function rested(message) {
-  if (message.id !== asking.number) return;
+  if (message.id !== requests.number) return;
   state.moving = false;
   sliders.follow(message.controls);
   large();
@@ -265,13 +265,13 @@ function refused(message) {
     gallery.glimpsed(message, null);
     return;
   } else if (of === "change") {
-    const newest = id === asking.number;
-    asking.done(id);
+    const newest = id === requests.number;
+    requests.done(id);
     if (!newest) return; // what came since is answered too
-    history.refuse(state.asked);
-    state.asked = state.accepted;
+    history.refuse(state.requested);
+    state.requested = state.accepted;
     state.moving = false;
-    showAsked();
+    showRequested();
     const field = sliders.get(key || state.last);
     if (field) field.complain(`${words}. It stays as it was.`);
     else complain(words);
@@ -279,8 +279,8 @@ function refused(message) {
       large();
       certified();
     } else {
-      asking.want();
-      asking.rest(0);
+      requests.want();
+      requests.rest(0);
     }
     return;
   } else {
@@ -289,7 +289,7 @@ function refused(message) {
   if (of === "open") write(by("description"), words);
   if (of === "choose") state.chosen = "";
   if (of === "ask") write(by("answer"), words);
-  tell("refused");
+  announce("refused");
 }
 
 function saved(message, arrays) {
@@ -300,23 +300,23 @@ function save(blob, name) {
   const place = URL.createObjectURL(blob);
   Object.assign(document.createElement("a"), { href: place, download: name }).click();
   setTimeout(() => URL.revokeObjectURL(place), 10000);
-  tell(`${name} saved`);
+  announce(`${name} saved`);
 }
 
 // ---- words
 
 function solving() {
-  if (by("state").textContent.includes("replayed")) tell("solving ...");
+  if (by("state").textContent.includes("replayed")) announce("solving ...");
 }
 
-function tell(words) {
+function announce(words) {
   write(by("state"), words);
 }
 
 function certified() {
   const all = state.frame.taps.filter(Boolean), fine = all.filter((tap) => tap.certified).length;
   const played = all.every((tap) => tap.replayed || !tap.certified);
-  tell(`${fine} of ${all.length} certified${played && fine ? " and replayed" : ""}`);
+  announce(`${fine} of ${all.length} certified${played && fine ? " and replayed" : ""}`);
   by("state").dataset.frame = state.frame.number;
 }
 
@@ -397,4 +397,4 @@ for (const button of document.querySelectorAll("[data-figure]")) {
 
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { if (state.frame) show(false); });
 read("");
-globalThis.page = state; // for whoever measures or tests it
+globalThis.page = state; // read by tests and by scripts/page_speed.py

@@ -7,9 +7,9 @@ const PAUSE_S = 0.45;
 const BEFORE_S = 0.03;
 
 export class Sound {
-  // `tell(words)`; `selected()`: index of the tap that is heard.
-  constructor(link, tell, selected) {
-    Object.assign(this, { link, tell, selected, buffers: new Map(), gain_dB: 0, playing: [], wanted: null });
+  // `announce(words)`; `selected()`: index of the tap that is received.
+  constructor(link, announce, selected) {
+    Object.assign(this, { link, announce, selected, buffers: new Map(), gain_dB: 0, playing: [], wanted: null });
     for (const button of document.querySelectorAll("[data-sound]")) button.onclick = () => this.hear([button.dataset.sound]);
     by("compare").onclick = () => this.hear(["recorded", "optimum", "recorded", "optimum"]);
     const gain = new Field({ id: "gain", label: "loudness", unit: "dB", low: -40, high: 6, integer: true,
@@ -24,7 +24,7 @@ export class Sound {
     return this.link.say({ type: "sound", tap: this.selected() });
   }
 
-  heard(message, arrays) {
+  received(message, arrays) {
     this.take(message.rate_Hz, arrays);
     if (this.wanted) this.play(this.wanted);
     this.wanted = null;
@@ -67,6 +67,6 @@ export class Sound {
       source.start(this.context.currentTime + BEFORE_S + j * PAUSE_S);
       this.playing.push(source);
     });
-    this.tell(there.length ? `playing ${there.join(", then ")}` : "no certified optimum to hear");
+    this.announce(there.length ? `playing ${there.join(", then ")}` : "no certified optimum to hear");
   }
 }

@@ -33,7 +33,7 @@ export class Table {
   open(scene, places) {
     const [words] = [scene.windings_C ? [["warm", "warm %", "tap error of what is played on the warm coil"]] : []];
     this.columns = [...scene.columns.map(({ name, head, meaning }) => [name, head, meaning]), ...words,
-      ["binding", "binds", "the limits that hold this tap back; when, is said for the selected tap"],
+      ["binding", "binds", "the limits that hold this tap back; the selected tap has the times below its plot"],
       ["price", "price", "tap error over the limit that is dearest: left half of it, right where it stops mattering; the dot is now. Known at rest."],
       ["state", "state", "certified: proven to be the best under these limits. Replayed: simulated in continuous time and admitted, as a library would hold it."]];
     const row = made("tr");

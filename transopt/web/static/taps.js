@@ -6,10 +6,10 @@ const MB = 2 ** 20;
 
 function opened() {
   return new Promise((done, failed) => {
-    const asked = indexedDB.open("transopt page", 1);
-    asked.onupgradeneeded = () => asked.result.createObjectStore("taps");
-    asked.onsuccess = () => done(asked.result);
-    asked.onerror = () => failed(asked.error);
+    const request = indexedDB.open("transopt page", 1);
+    request.onupgradeneeded = () => request.result.createObjectStore("taps");
+    request.onsuccess = () => done(request.result);
+    request.onerror = () => failed(request.error);
   });
 }
 
@@ -17,9 +17,9 @@ async function stored(mode, work) {
   try {
     const database = await opened();
     return await new Promise((done, failed) => {
-      const asked = work(database.transaction("taps", mode).objectStore("taps"));
-      asked.onsuccess = () => done(asked.result);
-      asked.onerror = () => failed(asked.error);
+      const request = work(database.transaction("taps", mode).objectStore("taps"));
+      request.onsuccess = () => done(request.result);
+      request.onerror = () => failed(request.error);
     });
   } catch {
     return undefined; // a browser that keeps nothing: the taps live as long as this window
@@ -27,8 +27,8 @@ async function stored(mode, work) {
 }
 
 export class Taps {
-  constructor(link, tell, complain) {
-    Object.assign(this, { link, tell, complain, scene: null, kept: null, sending: null });
+  constructor(link, announce, complain) {
+    Object.assign(this, { link, announce, complain, scene: null, kept: null, sending: null });
     by("files").onchange = () => {
       this.drop([...by("files").files]);
       by("files").value = "";
@@ -71,16 +71,16 @@ export class Taps {
   drop(files) {
     if (!files.length || !this.scene) return;
     const speed = by("speed").value.trim().replace(",", ".");
-    const said = this.refusal(files) || (Number.isNaN(Number(speed)) ? `speed where a file states none: "${speed}" is no number: type one in m/s` : "");
-    write(by("taps-answer"), said);
-    if (said) this.complain(`Nothing was sent, and the page stays as it is. ${said}.`);
+    const why = this.refusal(files) || (Number.isNaN(Number(speed)) ? `speed where a file states none: "${speed}" is no number: type one in m/s` : "");
+    write(by("taps-answer"), why);
+    if (why) this.complain(`Nothing was sent, and the page stays as it is. ${why}.`);
     else this.send({ files, speed_m_s: Number(speed) || null, columns: by("columns").value, accept: by("accept").checked });
   }
 
   async send(taps) {
     if (!taps) return;
     this.sending = taps;
-    this.tell("reading the files ...");
+    this.announce("reading the files ...");
     const { files, ...fields } = taps;
     try {
       await this.link.sendFiles(files, { type: "drop", ...fields });

@@ -1,4 +1,4 @@
-// The inverse question: an error is asked for, and what can move it answers.
+// The inverse question: the user states an error, and the server searches the limit that it requires.
 
 import { Field } from "./field.js";
 import { isLimited } from "./matrix.js";
@@ -9,7 +9,7 @@ export class Wanted {
   constructor(link, sets) {
     Object.assign(this, { link, sets, tap: null, found: null });
     this.field = new Field({ id: "error", label: "tap error, at most", unit: "%", low: 0.1, high: 100, log: true,
-      tip: "error of the selected tap that you can live with; the least value that has it is searched when you let go" }, (value, how) => {
+      tip: "error of the selected tap that you can live with; the least value that has it is searched when the slider is released" }, (value, how) => {
       if (how.resting) this.ask(value);
     });
     this.field.set(25);
@@ -17,14 +17,14 @@ export class Wanted {
     by("error-set").onclick = () => this.take();
   }
 
-  // Something else was changed: what was said of the error is not true any more.
+  // After another change the answer is no longer valid.
   forget() {
     this.found = null;
     write(by("answer"), "");
     by("error-set").hidden = true;
   }
 
-  // What can move it is looked for when the page is at rest.
+  // Searches the keys that change the error, when the page is at rest.
   look(tap, title) {
     if (!tap) return;
     if (title !== this.title) {

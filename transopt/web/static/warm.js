@@ -1,13 +1,13 @@
 // Every tap as the device plays it on a warm coil, beside the optimum.
 
 import { Field } from "./field.js";
-import { by, percent, said } from "./words.js";
+import { by, percent, quantity } from "./words.js";
 
 // Equal steps are equal ratios of what is left to the temperature that a transient may reach: the last tenth of a kelvin
 // decides, of some seventy.
 const LEAST_LEFT = 1e-4;
 
-// What is played and how near that comes; empty where nothing is asked.
+// What is played and its errors, in words; empty without a warm coil.
 export function onWarmCoil({ warm }) {
   if (!warm) return "";
   if (!warm.figures || warm.scale === 0) return warm.words;
@@ -31,7 +31,7 @@ export class Warm {
       const at = (share) => Number((hot - (hot - cold) * LEAST_LEFT ** share).toFixed(3));
       const share = (value) => Math.min(Math.max(Math.log(Math.max(hot - value, 1e-9) / (hot - cold)) / Math.log(LEAST_LEFT), 0), 1);
       this.field = new Field({ id: "winding", label: "winding when the tap begins", unit: "C", low: cold, high: hot, at, share,
-        tip: `temperature of the winding, from ambient to ${said(hot)} C, which no transient may pass; steps grow finer towards it` }, (value, how) => {
+        tip: `temperature of the winding, from ambient to ${quantity(hot)} C, which no transient may pass; steps grow finer towards it` }, (value, how) => {
         by("warm").checked = true;
         this.asks(value, how);
       });

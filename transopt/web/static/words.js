@@ -1,6 +1,6 @@
 // Numbers and their words.
 
-export function said(value, unit) {
+export function quantity(value, unit) {
   if (value === null || value === undefined) return "not stated";
   const text = typeof value === "number" ? String(Number(value.toPrecision(4))) : value;
   return unit ? `${text} ${unit}` : text;

@@ -3,7 +3,7 @@
 const RESTS_MS = 250; // after the last key or movement a slider is at rest
 const BUSY_MS = 20; // at rest, while an answer is still on its way: look again after this time
 
-export class Asking {
+export class Requests {
   // `send(number, final)` sends the present values; it returns false where nothing can be sent.
   constructor(send) {
     Object.assign(this, { send, number: 0 });
