@@ -23,6 +23,8 @@ MOST_PANELS = 12  # most heat maps, one per entry; for more entries a single map
 MOST_WRITTEN = 80  # most cells of a heat map that show their numbers
 LEAST_PERCENT = 0.1
 MANY_TICKS = 30.0  # ratio of largest to smallest value above which ticks at 1, 2, 5 of each decade overlap
+NARROW = 6.0  # ratio of the ends of an axis up to which it has the ticks of `NARROW_SUBS`
+WIDE_SUBS, NARROW_SUBS = (1.0, 2.0, 3.0, 5.0), (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)
 DASHES = ("-", "--", ":", "-.")
 
 
@@ -34,11 +36,19 @@ def axis_label(key: str, unit: str = "") -> str:
     return f"{words} [{unit}]" if unit else words
 
 
+class PercentLocator(LogLocator):
+    """Ticks at 1, 2, 3 and 5 of each decade, and at more places on an axis that spans less than a decade."""
+
+    def tick_values(self, vmin: float, vmax: float) -> Sequence[float]:
+        self.set_params(subs=WIDE_SUBS if vmax > NARROW * vmin else NARROW_SUBS)
+        return super().tick_values(vmin, vmax)
+
+
 def percent_axis(axes: Axes, *, x: bool = False) -> None:
     """A logarithmic axis of percentages with plain numbers."""
     (axes.set_xscale if x else axes.set_yscale)("log")
     axis = axes.xaxis if x else axes.yaxis
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0)))
+    axis.set_major_locator(PercentLocator())
     axis.set_major_formatter(FuncFormatter(plain))
     axis.set_minor_formatter(NullFormatter())
     axis.set_minor_locator(NullLocator())

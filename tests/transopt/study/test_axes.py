@@ -12,6 +12,7 @@ from transopt.base.errors import InputError
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.study.axes import apply_settings, parse_axis
+from transopt.study.figures import PercentLocator, axis_label
 from transopt.study.plan import Plan
 
 FILES = [problems.FOLDER]
@@ -82,3 +83,16 @@ class TestAxes:
         assert changed.limits.transient_input == pytest.approx(2.0)
         with pytest.raises(InputError, match="one value; --vary takes several"):
             apply_settings(scene, ["limits.current_A=2,3"])
+
+
+def test_a_figure_labels_a_key_by_its_words_and_unit() -> None:
+    assert axis_label("limits.current_A") == "limits: current [A]"
+    assert axis_label("time.lead_s", "ms") == "time: lead [ms]"
+    assert axis_label("weights.rho") == "weights: rho"
+    assert axis_label("motor") == "motor"
+
+
+@pytest.mark.parametrize(("low", "high", "least"), [(16.0, 34.0, 3), (0.02, 20.0, 9), (24.0, 36.0, 2)])
+def test_an_axis_of_percentages_has_ticks_inside(low: float, high: float, least: int) -> None:
+    ticks = [tick for tick in PercentLocator().tick_values(low, high) if low <= tick <= high]
+    assert len(ticks) >= least
