@@ -9,7 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.text import Annotation
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.transforms import BboxBase
 from PIL import Image
 
 from precision.cases import SOLVED, Case
@@ -24,8 +26,8 @@ TINY_PT = 6.5
 SMALL_DPI = 120
 EXACT = "exact hold"  # what every solver's curve has anyway
 NAME_HEIGHT = 6.0  # what a name takes up on the logarithmic axis, as a factor
-NAME_PT = (6, 3)  # of a point's name from it
-BASELINES_PT = ((7, 6), (7, -7))  # of the upper one's and of the lower one's, which stand close
+# Where a point's name may stand from it, in points: the first place where it covers no other name is taken.
+NAME_PLACES_PT = ((6, 3), (6, -6), (6, 10), (6, -13), (-6, 3), (-6, -6), (-6, 10), (6, 17), (6, -20))
 # Okabe and Ito's colours; a method keeps its look in every panel.
 LOOKS: dict[str, dict[str, Any]] = {
     "casadi-piqp": {"color": "#0072B2", "marker": "o"},
@@ -79,13 +81,13 @@ def _curves(axes: Axes, rows: Sequence[Row], value: str, floor: float) -> None:
                 axes.plot(*place, marker="o", markersize=8.0, markerfacecolor="none", markeredgecolor=style["color"])
 
 
-def _points(axes: Axes, rows: Sequence[Row], value: str, floor: float) -> None:
-    """Baselines and servo rates, named beside their marks; discretisations, whose time is that of one solver, by
-    their level at the right edge.
+def _points(axes: Axes, rows: Sequence[Row], value: str, floor: float) -> list[Annotation]:
+    """Baselines and servo rates with their names, which are returned; discretisations, whose time is that of one
+    solver, by their level at the right edge.
     """
     named: dict[str, Any] = {"fontsize": TINY_PT, "color": GREY, "textcoords": "offset points", "va": "center"}
     shown = [row for row in rows if row.kind in POINTS and row.method != EXACT and np.isfinite(getattr(row, value))]
-    edge, free, places = axes.get_xlim()[1], np.inf, iter(BASELINES_PT)
+    edge, free, names = axes.get_xlim()[1], np.inf, list[Annotation]()
     for row in sorted(shown, key=lambda row: -abs(getattr(row, value))):
         height = max(abs(getattr(row, value)), floor)
         mark: dict[str, Any] = {"marker": POINTS[row.kind], "color": GREY, "linestyle": ""}
@@ -96,15 +98,28 @@ def _points(axes: Axes, rows: Sequence[Row], value: str, floor: float) -> None:
             axes.annotate(row.method, (edge, free), (-7, 0), ha="right", **named)
         else:
             axes.plot(row.solve_ms, height, markersize=4.5, zorder=1, **mark)
-            place = next(places, NAME_PT) if row.kind == Kind.BASELINE.value else NAME_PT
-            axes.annotate(row.method, (row.solve_ms, height), place, ha="left", **named)
+            names.append(axes.annotate(row.method, (row.solve_ms, height), NAME_PLACES_PT[0], **named))
+    return names
 
 
-def _style(axes: Axes, floor: float, top: float) -> None:
+def _move_apart(names: Sequence[Annotation]) -> None:
+    """Place the names of one panel, in a figure that is laid out, so that none covers another."""
+    taken = list[BboxBase]()
+    for name in names:
+        for place in NAME_PLACES_PT:
+            name.xyann = place
+            name.set_horizontalalignment("left" if place[0] > 0 else "right")
+            box = name.get_window_extent()
+            if not any(box.overlaps(other) for other in taken):
+                break
+        taken.append(box)
+
+
+def _style(axes: Axes, floor: float, top: float, fastest_ms: float) -> None:
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_ylim(floor / 3, top)
-    axes.set_xlim(0.8, 2e3 * TIME_LIMIT_S)
+    axes.set_xlim(0.8 * fastest_ms, 2e3 * TIME_LIMIT_S)
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.yaxis.set_major_locator(LogLocator(base=100, numticks=20))
@@ -118,17 +133,18 @@ def work_precision(cases: Sequence[Case], rows: Sequence[Row]) -> Figure:
     """The diagrams: upper row the error, lower row the tap error, both logarithmic."""
     figure = Figure(figsize=(3.3 * len(cases) + 0.6, 7.4), layout="constrained")
     panels = figure.subplots(2, len(cases), sharex=True, sharey="row", squeeze=False)
+    names, fastest_ms = list[list[Annotation]](), min(1.0, *(row.solve_ms for row in rows if row.solve_ms > 0))
     for column, case in enumerate(cases):
         own = [row for row in rows if row.case == case.name]
         upper, lower = panels[0, column], panels[1, column]
-        _style(upper, ERROR_FLOOR, 300.0)
-        _style(lower, TAP_ERROR_FLOOR, 30.0)
+        _style(upper, ERROR_FLOOR, 300.0, fastest_ms)
+        _style(lower, TAP_ERROR_FLOOR, 30.0, fastest_ms)
         upper.axhspan(ERROR_FLOOR / 10, max(case.optimum.agreement, ERROR_FLOOR), color="0.93", zorder=0)
         upper.axhline(SOLVED, color=DARK, linewidth=0.8, linestyle="--", zorder=0)
         _curves(upper, own, "error", ERROR_FLOOR)
-        _points(upper, own, "error", ERROR_FLOOR)
+        names.append(_points(upper, own, "error", ERROR_FLOOR))
         _curves(lower, own, "tap_error_excess", TAP_ERROR_FLOOR)
-        _points(lower, own, "tap_error_excess", TAP_ERROR_FLOOR)
+        names.append(_points(lower, own, "tap_error_excess", TAP_ERROR_FLOOR))
         failed = [row for row in own if not np.isfinite(row.error) and row.kind != Kind.PERIOD.value]
         if failed:
             words = ", ".join(dict.fromkeys(f"{row.method} ({row.status.split(':')[0]})" for row in failed))
@@ -140,6 +156,9 @@ def work_precision(cases: Sequence[Case], rows: Sequence[Row]) -> Figure:
     panels[1, 0].set_ylabel("tap error after replay,\ndistance to the reference's", fontsize=LABEL_PT)
     columns = min(len(cases), 4)
     figure.legend(handles=_handles(rows), loc="outside lower center", ncols=columns, fontsize=SMALL_PT, frameon=False)
+    figure.draw_without_rendering()  # the names' extents are known only then
+    for of_a_panel in names:
+        _move_apart(of_a_panel)
     return figure
 
 

@@ -331,5 +331,6 @@ class TestCommand:
         figure = work_precision([short_case], rows_of(bad, *methods.baselines()))
         upper, lower = figure.axes
         assert upper.get_xlabel() == "failed: mine (ValueError)"
-        names = {text.get_text() for text in lower.texts}
-        assert names == {"clipped optimum", "seed inversion"}
+        names = {text.get_text(): text.get_window_extent() for text in lower.texts}
+        assert names.keys() == {"clipped optimum", "seed inversion"}
+        assert not names["clipped optimum"].overlaps(names["seed inversion"])
