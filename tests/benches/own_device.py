@@ -187,8 +187,11 @@ class OwnWorld:
 
     def hand_m(self, time_s: float) -> float:
         """Position that the hand means to have."""
-        shaking = sum(size * math.sin(w * time_s + phase) for size, w, phase in self._tremor)
-        return self.path_m(time_s) + (shaking if self.grip_N > 0 else 0.0)
+        shaking = 0.0
+        if self.grip_N > 0:
+            for size, w, phase in self._tremor:
+                shaking += size * math.sin(w * time_s + phase)
+        return self.path_m(time_s) + shaking
 
     def _draw(self) -> float:
         value = next(self._noise, None)
