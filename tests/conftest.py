@@ -1,8 +1,10 @@
 """Shared scenes, recordings and one solved library; built once per session."""
 
+import gc
 import os
+import shutil
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -65,6 +67,17 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--campaign", action="append", default=[], metavar="OPTIONS", help=words)
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Collect tests without passes of the garbage collector, a quarter of that time: nothing of them can be freed."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()  # nor does a later pass look at them
+        gc.enable()
+
+
 def is_stationary(problem: TransientProblem, answer: Solution) -> bool:
     """Whether an answer is certified, but for the global bound where the temperature binds."""
     proof = certify(problem, answer.command, answer.multipliers)
@@ -106,6 +119,14 @@ def build(scene: Scene, taps: list[Recording]) -> Build:
 def library(build: Build) -> Library:
     assert build.library is not None
     return build.library
+
+
+@pytest.fixture(scope="session")
+def saved_library(library: Library, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The library's file; not to be changed, a copy of it may be."""
+    path = tmp_path_factory.mktemp("library") / "library.npz"
+    library.save(path)
+    return path
 
 
 @pytest.fixture(scope="session")
@@ -242,11 +263,11 @@ def terminal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 
 @pytest.fixture
 def play(
-    terminal: Terminal, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, library: Library, c_compiler: None
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, saved_library: Path, c_compiler: None
 ) -> Run:
     """Run `transopt-play ARGS` in a folder that holds library.npz, with a home of its own."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    library.save(tmp_path / "library.npz")
+    shutil.copyfile(saved_library, tmp_path / "library.npz")
     return partial(terminal, "transopt-play")
 
 

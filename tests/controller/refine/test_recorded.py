@@ -101,7 +101,6 @@ class TestCommand:
         return sorted(path for path in Path(folder).glob("*.npz") if int(path.stem[-1]) > repeats - 3)
 
     def test_step_by_step_to_a_confirmed_library(self, play: Run, library: Library) -> None:
-        library.save(Path("library.npz"))
         first = self.record(play, "library.npz", "taps_0", 3)
         outcome = play("refine", "library.npz", "--from-files", *first, "--rounds", 1, "--out", "step_1")
         assert outcome.code == 0, outcome.err
@@ -128,8 +127,7 @@ class TestCommand:
             assert told["confirmed"]["playback_error"][iv][1] < told["rounds"][0]["playback_error"][iv][1] / 3
         np.testing.assert_array_equal(done.command[2:], library.command[2:])
 
-    def test_what_does_not_go_together(self, play: Run, library: Library) -> None:
-        library.save(Path("library.npz"))
+    def test_what_does_not_go_together(self, play: Run) -> None:
         refuse = lambda *words: play("refine", "library.npz", *words, "--out", "x")  # noqa: E731
         assert_refused(refuse("--from-files"), "--from-files: names no files")
         assert_refused(refuse("--from-files", "--simulate"), "leave --simulate and --port out")
@@ -137,8 +135,7 @@ class TestCommand:
         assert_refused(refuse("--simulate", "--units", "acc=g"), "--units: only with --from-files")
         assert_refused(refuse("--simulate", "tap.csv"), "FILES: only with --from-files")
 
-    def test_files_that_are_no_such_taps(self, play: Run, library: Library) -> None:
-        library.save(Path("library.npz"))
+    def test_files_that_are_no_such_taps(self, play: Run) -> None:
         random = np.random.default_rng(3)
         for number in (1, 2):
             rows = np.column_stack([1e-4 * np.arange(2000), random.standard_normal(2000)])

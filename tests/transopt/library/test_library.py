@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -26,10 +27,9 @@ PYTHON = re.compile(
 
 
 @pytest.fixture
-def saved(library: Library, tmp_path: Path) -> Path:
-    path = tmp_path / "library.npz"
-    library.save(path)
-    return path
+def saved(saved_library: Path, tmp_path: Path) -> Path:
+    """A copy, to be changed."""
+    return shutil.copyfile(saved_library, tmp_path / "library.npz")
 
 
 def rewrite(path: Path, *, drop: str | None = None, **changed: object) -> None:
