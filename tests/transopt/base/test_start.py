@@ -82,7 +82,6 @@ def test_the_end_of_a_command_searches_nothing_for_garbage(tmp_path: Path) -> No
 SCIPY = tuple(f"scipy.{room}" for room in ("linalg", "fft", "special", "signal", "sparse", "optimize", "interpolate"))
 FIGURES = ("matplotlib", "PIL")
 LOADS_NOT = {
-    "solve": ("casadi", *SCIPY),
     "solve --no-figures": ("casadi", *FIGURES, *SCIPY),
     "show out/wood_on_foam/library.npz": ("casadi", *FIGURES, *SCIPY),
     "verify out/wood_on_foam/library.npz": ("casadi", *FIGURES, *SCIPY),
@@ -101,11 +100,16 @@ def folder(tmp_path_factory: pytest.TempPathFactory, library: Library) -> Path:
     return place
 
 
-def told_at_its_end(what: str, program: str, words: str, folder: Path) -> str:
-    """What an expression says at the end of a command, in a process of its own."""
+def loaded(*names: str) -> str:
+    """An expression: those of the modules that are loaded."""
+    return f"[name for name in {names} if name in sys.modules]"
+
+
+def told_at_its_end(what: str, words: str, folder: Path) -> str:
+    """What expressions say at the end of a command, in a process of its own."""
     counted = f"import atexit, sys; atexit.register(lambda: print({what}))"
     ended = subprocess.run(
-        [sys.executable, "-c", f"{counted}; from transopt.cli.start import {program}; {program}()", *words.split()],
+        [sys.executable, "-c", f"{counted}; from transopt.cli.start import transopt; transopt()", *words.split()],
         cwd=folder,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))},
         capture_output=True,
@@ -118,20 +122,14 @@ def told_at_its_end(what: str, program: str, words: str, folder: Path) -> str:
 
 @pytest.mark.parametrize("command", LOADS_NOT)
 def test_a_command_loads_nothing_that_only_others_need(folder: Path, command: str) -> None:
-    loaded = f"[name for name in {LOADS_NOT[command]} if name in sys.modules]"
-    assert told_at_its_end(loaded, "transopt", command, folder) == "[]"
+    assert told_at_its_end(loaded(*LOADS_NOT[command]), command, folder) == "[]"
 
 
-def test_a_simulated_tap_loads_no_filters_and_no_statistics(folder: Path) -> None:
-    loaded = "[name for name in ('casadi', 'matplotlib', 'scipy.signal', 'scipy.stats') if name in sys.modules]"
-    assert told_at_its_end(loaded, "play", "tap out/wood_on_foam/library.npz --simulate", folder) == "[]"
-
-
-def test_a_command_loads_matplotlib_without_lists_of_properties(folder: Path) -> None:
-    """What a command leaves out are docstrings of classes; what the classes can do is the same."""
+def test_figures_are_drawn_without_the_optimiser_and_without_lists_of_properties(folder: Path) -> None:
+    """What a command leaves out of matplotlib are docstrings of classes; what the classes can do is the same."""
     line = "sys.modules['matplotlib.lines'].Line2D"
-    what = f"'alpha' in {line}.set.__doc__, {line}([0], [0], alpha=0.5).get_alpha()"
-    assert told_at_its_end(what, "transopt", "solve", folder) == "False 0.5"
+    what = f"{loaded('casadi', *SCIPY)}, 'alpha' in {line}.set.__doc__, {line}([0], [0], alpha=0.5).get_alpha()"
+    assert told_at_its_end(what, "solve", folder) == "[] False 0.5"
 
 
 def test_who_calls_from_python_finds_matplotlib_documented() -> None:
