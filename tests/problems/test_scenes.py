@@ -13,6 +13,7 @@ from tests.benches.independent import assert_independent_check_is_clean
 from tests.transopt.design.test_build import assert_entries_are_proven
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.design.build import Build, build_library
+from transopt.design.verify import verify_library
 from transopt.plant.motor import Motor
 from transopt.recordings.tap import read_recordings
 from transopt.scene.scene import Scene
@@ -126,6 +127,7 @@ class TestWhatEachSceneShows:
         ideal, real = built("ideal_amplifier"), built("wood_on_foam")
         assert ideal.library is not None
         assert ideal.library.amplifier() is None
+        assert all(not check.shortfalls for check in verify_library(ideal.library))
         ours, theirs = by_node(ideal, "figures"), by_node(real, "figures")
         assert all(abs(ours[node].tap_error - theirs[node].tap_error) < 0.005 for node in ours)
         assert all(abs(ours[node].felt_error - theirs[node].felt_error) < 0.005 for node in ours)

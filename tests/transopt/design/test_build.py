@@ -105,10 +105,6 @@ def test_the_optimum_beats_what_is_clipped_and_the_inverse(build: Build) -> None
         assert all(entry.figures.tap_error < rival.tap_error for rival in rivals)
 
 
-def test_independent_checker_finds_nothing(library: Library, tmp_path: Path) -> None:
-    assert_independent_check_is_clean(library, tmp_path / "library.npz")
-
-
 def test_measured_impacts_are_solved_and_proven(tmp_path: Path) -> None:
     if not IMPACTS.is_dir():
         pytest.skip(f"the measured impacts are not at {IMPACTS}")
@@ -247,14 +243,6 @@ def test_the_other_models_build_too(scene: Scene, taps: list[Recording], kind: s
     build = build_library(scene.model_copy(update={"model": model}), taps)
     assert build.library is not None
     assert_entries_are_proven(build)
-
-
-def test_ideal_amplifier_builds_and_verifies(scene: Scene, taps: list[Recording], tmp_path: Path) -> None:
-    build = build_library(scene.model_copy(update={"amplifier": "ideal"}), taps)
-    assert_entries_are_proven(build)
-    assert build.library.amplifier() is None
-    assert all(not check.shortfalls for check in verify_library(build.library))
-    assert_independent_check_is_clean(build.library, tmp_path / "library.npz")
 
 
 class TestAdmission:
