@@ -1,7 +1,7 @@
 """What may import what where no package holds it: scripts and tests know nothing of each other."""
 
 import ast
-from functools import cache
+import re
 from pathlib import Path
 
 import pytest
@@ -18,7 +18,11 @@ def top_names(folder: Path) -> set[str]:
     return modules | {path.parent.name for path in folder.glob("*/*.py")} | {folder.name}
 
 
-@cache  # several rules read the same files
+def mentions(source: str, names: set[str]) -> bool:
+    """Whether an import may have one of these first names: found in far less time than by taking a file apart."""
+    return re.search(rf"\b(from|import)\b(.|\\\n)*\b({'|'.join(map(re.escape, names))})\b", source) is not None
+
+
 def imported(source: str) -> list[tuple[int, str]]:
     """Line and whole name of all that is imported, wherever in the source it is."""
     found = list[tuple[int, str]]()
@@ -32,7 +36,8 @@ def imported(source: str) -> list[tuple[int, str]]:
 
 def crossings(source: str, forbidden: set[str]) -> list[str]:
     """Imports whose first name is one of these."""
-    return [f"{line}: {name}" for line, name in imported(source) if name.split(".")[0] in forbidden]
+    found = imported(source) if mentions(source, forbidden) else []
+    return [f"{line}: {name}" for line, name in found if name.split(".")[0] in forbidden]
 
 
 def all_crossings(folder: Path, forbidden: set[str]) -> list[str]:
@@ -50,6 +55,7 @@ def all_crossings(folder: Path, forbidden: set[str]) -> list[str]:
         "from benchmark import main",
         "from seed import plots",
         "def f():\n    import common",
+        "import math, \\\n    common",
     ],
 )
 def test_an_import_of_a_script_is_seen(source: str) -> None:
@@ -78,5 +84,6 @@ def test_scripts_are_loaded_by_their_own_tests_only() -> None:
     assert [
         str(path.relative_to(ROOT))
         for path in sorted({*TESTS.rglob("*.py")} - own)
-        if any(name.startswith(LOADER) for _, name in imported(path.read_text(encoding="utf-8")))
+        if "scripts" in (source := path.read_text(encoding="utf-8"))
+        and any(name.startswith(LOADER) for _, name in imported(source))
     ] == []

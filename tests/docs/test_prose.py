@@ -11,7 +11,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ("transopt", "problems", "controller", "scripts", "tests")
 OPENER = re.compile(r"(Of|That|Those|With|Where|By|As|None|Its|The same)\b")
-OPENING_COMMENT = re.compile(rf"#[#: ]*{OPENER.pattern}")
+# A look that takes a fiftieth of the time of taking a file apart, and leaves few files to be taken apart.
+OPENING = re.compile(rf"""(["'][\\n\s]*|#[#: ]*){OPENER.pattern}""")
 TEXT_KEYWORDS = ("help", "description")
 
 Place = tuple[int, str]
@@ -58,9 +59,6 @@ def help_texts(nodes: list[ast.AST]) -> Iterator[Place]:
 
 def comments(source: str) -> Iterator[Place]:
     """The first line of every comment block; a comment after code is a block of its own."""
-    # Taking a file apart takes far longer than this look at whether any of its lines can be one.
-    if not OPENING_COMMENT.search(source):
-        return
     last = -1
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
         if token.type != tokenize.COMMENT:
@@ -73,6 +71,8 @@ def comments(source: str) -> Iterator[Place]:
 
 
 def openers(source: str) -> list[Place]:
+    if not OPENING.search(source):
+        return []
     nodes = list(ast.walk(ast.parse(source)))
     found = (*docstrings(nodes), *attribute_docstrings(nodes), *help_texts(nodes), *comments(source))
     return sorted((line, text.splitlines()[0]) for line, text in found if OPENER.match(text))
