@@ -1,0 +1,72 @@
+"""A library that is verified from its own arrays: whatever was changed in it is said of its entry."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from transopt.design.verify import verify_library
+from transopt.library.library import Library
+from transopt.problem.answer import OBJECTIVE_SCALE, Status
+
+
+def test_a_library_verifies_from_its_file_alone(library: Library) -> None:
+    checks = verify_library(library)
+    assert len(checks) == 12
+    assert all(not check.shortfalls for check in checks)
+
+
+@pytest.mark.parametrize(
+    "field",
+    [
+        *("tap_error", "error_after", "heat_A2_s", "energy", "peak_input", "peak_temperature_C", "objective"),
+        *("plant_input", "acceleration_m_s2", "acceleration_after_m_s2"),
+    ],
+)
+def test_a_figure_that_does_not_follow_from_the_waveform(library: Library, field: str) -> None:
+    changed = getattr(library, field).copy()
+    changed[1, 2] *= 1.01
+    checks = verify_library(replace(library, **{field: changed}))
+    failed = [check.cells for check in checks if check.shortfalls]
+    assert failed == [["0.2", "5"]]
+
+
+@pytest.mark.parametrize("field", ["transient_command", "floor", "duality_gap", "primal_violation"])
+def test_what_is_exported_and_claimed_is_checked_too(library: Library, field: str) -> None:
+    changed = getattr(library, field).copy()
+    changed[1, 2] = 10 * changed[1, 2] + 1e-3
+    checks = verify_library(replace(library, **{field: changed}))
+    (failed,) = [check for check in checks if check.shortfalls]
+    assert failed.cells == ["0.2", "5"]
+    assert field in failed.shortfalls[0]
+
+
+@pytest.mark.parametrize("below", [0.02, 1e3, np.inf])
+def test_a_bound_that_proves_nothing(library: Library, below: float) -> None:
+    """A bound may say less than can be proven, but not less than what the entry was accepted by."""
+    bound = library.lower_bound.copy()
+    bound[1, 2] = library.objective[1, 2] - below * max(library.objective[1, 2], OBJECTIVE_SCALE)
+    checks = verify_library(replace(library, lower_bound=bound))
+    (failed,) = [check for check in checks if check.shortfalls]
+    assert failed.cells == ["0.2", "5"]
+    assert "which does not prove" in failed.shortfalls[0]
+    bound[1, 2] = library.objective[1, 2] - 0.009 * max(library.objective[1, 2], OBJECTIVE_SCALE)
+    assert not any(check.shortfalls for check in verify_library(replace(library, lower_bound=bound)))
+
+
+def test_a_limit_that_is_said_to_bind(library: Library) -> None:
+    binding = library.binding.astype("U200")
+    binding[0, 0] = "current +4 A at 1.00 ms"
+    assert "binding says" in verify_library(replace(library, binding=binding))[0].shortfalls[0]
+
+
+def test_a_waveform_of_another_node(library: Library) -> None:
+    swapped = library.command[::-1].copy()
+    assert all(check.shortfalls for check in verify_library(replace(library, command=swapped)))
+
+
+def test_a_status_that_is_not_optimal(library: Library) -> None:
+    status = library.status.astype("U100")
+    status[0, 0] = Status.ITERATION_LIMIT.value
+    checks = verify_library(replace(library, status=status))
+    assert "status in the file" in checks[0].shortfalls[0]
