@@ -102,7 +102,7 @@ class LinearSystem:
     """
 
     def __init__(self, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> None:
-        self._A, self._B, self._C, self._D = A, B, C, D
+        self.A, self.B, self._C, self._D = A, B, C, D
         self._dtype = np.result_type(A, B, C, D)
 
     def outputs(self, inputs: FloatArray) -> FloatArray:
@@ -116,7 +116,7 @@ class LinearSystem:
     @cached_property
     def _mirror(self) -> LinearSystem:
         """The adjoint system, which runs backward in time: lambda_k = A' lambda_(k+1) + C' g_k."""
-        return LinearSystem(self._A.T, self._C.T, self._B.T, self._D.T)
+        return LinearSystem(self.A.T, self._C.T, self.B.T, self._D.T)
 
     def _along(self, inputs: FloatArray, *, back: bool) -> FloatArray:
         (*courses, p, N), (q, m), dtype = inputs.shape, self._C.shape, np.result_type(self._dtype, inputs)
@@ -134,23 +134,23 @@ class LinearSystem:
         N, m = inputs.shape[1], self._C.shape[1]
         along = inputs[:, ::-1] if back else inputs
         states = np.zeros((N, m), dtype=dtype)
-        states[1:] = along.T[:-1] @ self._B.T
+        states[1:] = along.T[:-1] @ self.B.T
         if dtype == np.float64:
             states = self._recursion.run(states)
         else:
             for k in range(1, N):  # neither BLAS nor the extension has extended precision
-                states[k] += self._A @ states[k - 1]
+                states[k] += self.A @ states[k - 1]
         found = self._C @ states.T + self._D @ along
         return found[:, ::-1] if back else found
 
     @cached_property
     def _recursion(self) -> Recursion:
-        return Recursion(self._A)
+        return Recursion(self.A)
 
     @cached_property
     def _matrix(self) -> FloatArray:
         """(m + p, width) matrix in the layout of `tr_courses`, its width padded to a multiple of four."""
-        whole = np.block([[self._A.T, self._C.T], [self._B.T, self._D.T]])
+        whole = np.block([[self.A.T, self._C.T], [self.B.T, self._D.T]])
         return np.ascontiguousarray(np.pad(whole, ((0, 0), (0, -whole.shape[1] % 4))))
 
 

@@ -233,16 +233,23 @@ class Period:
     Attributes
     ----------
     segments : the two segments.
-    P, by_command : (n, n) and (n, 1 + late) of x_(k+1) = P x_k + by_command @ (issued_k, .., issued_(k+late)), where
-        the issued commands begin with zeros before the first.
+    played : from the issued commands (issued_k, .., issued_(k+late)) to the states x_k at the starts of the periods
+        and the two commands that act in them (n + 2 outputs); the issued commands begin with zeros before the first.
+    to_middle : (n, n + 2) map of these outputs to the states at the start of the second segment.
+    to_samples : (2 + 1 + further, n + 2, K) map of them to the K samples of a period, for every row of the flow.
+    times_s : (periods, K) times of the samples.
+    late : ticks by which the second segment's command was issued after the first's.
     arriving : index of the segment in which a tick's own command begins to act.
     periods : number of simulated periods, until `after_s` after tau_N.
     instants : number of switching instants in window and tail.
     """
 
     segments: list[Segment]
-    P: FloatArray
-    by_command: FloatArray
+    played: LinearSystem
+    to_middle: FloatArray
+    to_samples: FloatArray
+    times_s: FloatArray
+    late: int
     arriving: int
     periods: int
     instants: int
@@ -252,24 +259,26 @@ class Period:
         """A period integrated with a Runge-Kutta step that is halved so many times."""
         segments = _segments(flow, grid, halvings)
         first, second = segments
-        late = first.behind - second.behind
-        by_command = np.zeros((flow.A.shape[0], 1 + late))
+        n, late = flow.A.shape[0], first.behind - second.behind
+        by_command, acting = np.zeros((n, 1 + late)), np.zeros((n + 2, 1 + late))
         by_command[:, 0] += (second.P[-1] @ first.Q[-1])[:, 0]
         by_command[:, late] += second.Q[-1][:, 0]
+        acting[n, 0] = acting[n + 1, late] = 1.0
+        to_middle = np.hstack([first.P[-1], first.Q[-1], np.zeros((n, 1))])
+        periods = grid.stages + first.behind + int(np.ceil(after_s(grid) / grid.dt_s))
+        ticks = grid.dt_s * np.arange(periods) - grid.lead_s
         return cls(
             segments,
-            second.P[-1] @ first.P[-1],
-            by_command,
+            LinearSystem(second.P[-1] @ first.P[-1], by_command, np.eye(n + 2, n), acting),
+            to_middle,
+            _to_samples(flow, segments, to_middle),
+            ticks[:, None] + np.concatenate([first.offsets_s, second.offsets_s]),
+            late,
             # If the delay is a whole number of periods, a command begins to act at a tick, else within the period.
             arriving=0 if late == 0 else 1,
-            periods=grid.stages + first.behind + int(np.ceil(after_s(grid) / grid.dt_s)),
+            periods=periods,
             instants=grid.stages + grid.after_stages,
         )
-
-    @property
-    def late(self) -> int:
-        """Ticks by which the second segment's command was issued after the first's."""
-        return int(self.by_command.shape[1]) - 1
 
     @property
     def at_switching(self) -> slice:
@@ -285,80 +294,71 @@ class Period:
         return found
 
 
+def _to_samples(flow: Flow, segments: list[Segment], to_middle: FloatArray) -> FloatArray:
+    """`Period.to_samples`: each segment's samples follow from the states at its start and the command that acts."""
+    n = flow.A.shape[0]
+    found = []
+    for j, (segment, started) in enumerate(zip(segments, (np.eye(n, n + 2), to_middle), strict=True)):
+        by_start = np.einsum("on,snm->oms", flow.rows, segment.P @ started)
+        by_start[:, n + j] += flow.rows @ segment.Q[..., 0].T + flow.direct[:, None]
+        found.append(by_start)
+    return np.concatenate(found, axis=2)
+
+
 @dataclass(frozen=True)
 class Course:
-    """States of M taps at the start of every segment, from the first tick until `after_s` after tau_N.
+    """States of M taps at the start of every period, from the first tick until `after_s` after tau_N.
 
     Attributes
     ----------
     period : the map of every period.
-    states : for each segment, (M, periods, n) states at its start.
-    felt : for each segment, (M, periods) command that acts in it.
+    given : (M, n + 2, periods) states, and the commands that act in the two segments.
     command : (M, N) issued commands.
     """
 
     period: Period
-    states: list[FloatArray]
-    felt: list[FloatArray]
+    given: FloatArray
     command: FloatArray
 
     def of(self, taps: slice) -> "Course":
         """The course of some of the taps."""
-        return Course(
-            self.period,
-            [states[taps] for states in self.states],
-            [felt[taps] for felt in self.felt],
-            self.command[taps],
-        )
+        return Course(self.period, self.given[taps], self.command[taps])
+
+    @property
+    def _arriving(self) -> tuple[FloatArray, FloatArray]:
+        """(M, n, instants) states and (M, instants) acting commands just after the switching instants."""
+        n, given = self.period.to_middle.shape[0], self.given[..., self.period.at_switching]
+        states = self.period.to_middle @ given if self.period.arriving else given[:, :n]
+        return states, given[:, n + self.period.arriving]
 
     def accelerations(self, flow: Flow) -> FloatArray:
         """(M, instants) y'' just after the switching instants."""
-        at, arriving = self.period.at_switching, self.period.arriving
-        states, felt = self.states[arriving][:, at], self.felt[arriving][:, at]
-        return np.asarray(states @ flow.rows[0] + flow.direct[0] * felt)
+        states, felt = self._arriving
+        return np.asarray(flow.rows[0] @ states + flow.direct[0] * felt)
 
     def rounding(self, flow: Flow) -> FloatArray:
         """(M,) rounding error of y'' there: `ROUNDING` times the largest sum of the absolute values of its terms."""
-        at, arriving = self.period.at_switching, self.period.arriving
-        states, felt = np.abs(self.states[arriving][:, at]), np.abs(self.felt[arriving][:, at])
-        terms = states @ np.abs(flow.rows[0]) + np.abs(flow.direct[0]) * felt
+        states, felt = map(np.abs, self._arriving)
+        terms = np.abs(flow.rows[0]) @ states + np.abs(flow.direct[0]) * felt
         return np.asarray(ROUNDING * terms.max(axis=1))
-
-
-def _held(P: FloatArray, by_command: FloatArray, issued: FloatArray, periods: int) -> FloatArray:
-    """(M, periods, n) states of x_(k+1) = P x_k + by_command @ (issued_k, issued_(k+1), ...), x_0 = 0.
-
-    Parameters
-    ----------
-    by_command : (n, w).
-    issued : (M, periods + w - 1 or more).
-    """
-    n, w = by_command.shape
-    felt = np.stack([issued[:, late : late + periods] for late in range(w)], axis=1)
-    states = LinearSystem(P, by_command, np.eye(n), np.zeros((n, w))).outputs(felt)
-    return np.ascontiguousarray(np.moveaxis(states, 1, 2))
 
 
 def _play(
     stage: StageModel, flow: Flow, grid: TimeGrid, commands: FloatArray, period: Period, loop: Loop | None
 ) -> Course:
     """The states of M taps under the commands (M, N) [A], period by period; `loop` adds the wall's feedback."""
-    (M, N), n, late = commands.shape, flow.A.shape[0], period.late
-    first, periods = period.segments[0], period.periods
+    M, N = commands.shape
+    behind, periods, late = period.segments[0].behind, period.periods, period.late
     # Before the first command and after the waveform the command is zero, or the wall's feedback.
     issued = period.issued(commands)
-    if loop is None:
-        starts = _held(period.P, period.by_command, issued, periods)
-    else:
-        starts, x = np.zeros((M, periods, n)), np.zeros((M, n))
+    if loop is not None:
+        x, step = np.zeros((M, flow.A.shape[0])), period.played
         feedback = loop.start(stage, grid.dt_s)
         for k in range(periods):
-            starts[:, k] = x
-            issued[:, first.behind + k] += feedback.step(loop.read(k, x @ flow.encoder))
-            x = x @ period.P.T + issued[:, k : k + 1 + late] @ period.by_command.T
-    felt = [issued[:, :periods], issued[:, late : late + periods]]
-    middle = starts @ first.P[-1].T + felt[0][..., None] * first.Q[-1][:, 0]
-    return Course(period, [starts, middle], felt, issued[:, first.behind : first.behind + N])
+            issued[:, behind + k] += feedback.step(loop.read(k, x @ flow.encoder))
+            x = x @ step.A.T + issued[:, k : k + 1 + late] @ step.B.T
+    felt = np.stack([issued[:, by : by + periods] for by in range(1 + late)], axis=1)
+    return Course(period, period.played.outputs(felt), issued[:, behind : behind + N])
 
 
 def after_s(grid: TimeGrid) -> float:
@@ -373,41 +373,22 @@ def fine(course: Course, flow: Flow, grid: TimeGrid, *, moving: bool = True) -> 
     ----------
     moving : whether the velocity of the motor mass and the further outputs are requested.
     """
-    M, periods, _ = course.states[0].shape
-    period, samples = course.period, course.period.segments[0].offsets_s.size
-    n, outputs = flow.encoder.size, flow.direct.size if moving else 2
-    # One matrix product per output: states at the starts of both segments and the commands that act in them, times
-    # the maps to all samples of a period. The samples of all segments end up along one axis.
-    begun = np.concatenate(
-        [
-            np.append(states, command[..., None], axis=-1)
-            for states, command in zip(course.states, course.felt, strict=True)
-        ],
-        axis=-1,
-    )
-    maps = np.zeros((outputs, 2, n + 1, 2, samples))
-    felt, times = np.empty((M, periods, 2, samples)), np.empty((periods, 2, samples))
-    ticks = grid.dt_s * np.arange(periods) - grid.lead_s
-    for j, (segment, command) in enumerate(zip(period.segments, course.felt, strict=True)):
-        rows, direct = flow.rows[:outputs], flow.direct[:outputs]
-        maps[:, j, :n, j] = np.moveaxis(rows @ segment.P, 0, -1)
-        maps[:, j, n, j] = (rows @ segment.Q[..., 0].T) + direct[:, None]
-        felt[:, :, j] = command[..., None]
-        times[:, j] = ticks[:, None] + segment.offsets_s
+    period, given = course.period, np.swapaxes(course.given, 1, 2)
+    M, periods, columns = given.shape
+    samples = period.segments[0].offsets_s.size
     with np.errstate(over="ignore", invalid="ignore"):  # the loop of an unstable wall overflows
-        values = begun.reshape(M * periods, -1) @ maps.reshape(outputs, 2 * (n + 1), -1)
-    acceleration, current, *others = values.reshape(outputs, M, -1)
+        values = [(given @ to_samples).reshape(M, -1) for to_samples in period.to_samples[: None if moving else 2]]
+    acceleration, current, *others = values
     velocity, *further = others or [np.empty((M, 0))]
     starts = samples * np.arange(2 * periods)
-    at = period.at_switching
     return Trajectory(
-        times_s=times.ravel(),
+        times_s=period.times_s.ravel(),
         acceleration_m_s2=acceleration,
         plant_input=current,
-        felt=felt.reshape(M, -1),
+        felt=np.repeat(given[..., columns - 2 :], samples, axis=2).reshape(M, -1),
         velocity_m_s=velocity,
         outputs=dict(zip(flow.names, further, strict=moving)),
-        at_switching=starts[period.arriving :: 2][at][: grid.stages],
+        at_switching=starts[period.arriving :: 2][period.at_switching][: grid.stages],
         segment_starts=starts,
     )
 

@@ -25,7 +25,7 @@ from transopt.problem.problem import TransientProblem
 from transopt.proof.continuous import AGREEMENT, Accurate, Loop, Trajectory, accurate, fine, peak_scale
 
 COMMANDS_AT_ONCE = (
-    5  # commands evaluated together: their samples fit into the processor's cache, several times faster
+    16  # commands evaluated together: their samples fit into the processor's cache, several times faster
 )
 
 
@@ -133,41 +133,58 @@ def largest_reached(
     runs : the same commands on the entry's own device and, if a limit depends on them, on those of its spread.
     devices : the devices of `runs`; further ones are not used.
     """
-    run = runs[0]
-    instants = np.append(grid.switching_times_s, grid.end_s)
-    playing = slice(
-        int(np.searchsorted(run.times_s, grid.switching_times_s[0], side="left")),
-        int(np.searchsorted(run.times_s, grid.end_s, side="right")),
-    )
-    # A switching instant has two samples, just before and just after it; the later one has its command.
-    last_stated = int(run.at_switching[-1])
-    found = []
-    for m, of_entry in enumerate(limits):
-        posed = _Posed(devices, grid, of_entry)
-        peaks, early = ({limit.name: 0.0 for limit in of_entry} for _ in range(2))
-        for limit in of_entry:
-            at = slice(0, run.times_s.size) if limit.after_the_waveform else playing
-            motions = [
-                Motion(
-                    each.acceleration_m_s2[m, at],
-                    each.plant_input[m, at],
-                    each.velocity_m_s[m, at],
-                    np.zeros(0),
-                    {name: values[m, at] for name, values in each.outputs.items()},
-                )
-                for each in runs
-            ]
-            for row in limit.watched(posed):
-                offset = row.offset
-                if isinstance(offset, np.ndarray):
-                    offset = np.interp(run.times_s[at], instants[: offset.size], offset)
-                size = np.abs(replace(row, offset=offset).value(motions[row.device], run.felt[m, at]))
-                peaks[limit.name] = np.maximum(peaks[limit.name], size.max()).item()
-                early[limit.name] = np.maximum(
-                    early[limit.name], size[: last_stated + 1 - at.start].max(initial=0.0)
-                ).item()
-        found.append((peaks, early))
+    found: list[tuple[dict[str, float], dict[str, float]]] = [({}, {}) for _ in limits]
+    for limit, commands in alike(limits):
+        reached = _reached(runs, limit, commands, _Posed(devices, grid, limits[commands[0]]))
+        for m, (whole, early) in zip(commands, reached, strict=True):
+            found[m][0][limit.name], found[m][1][limit.name] = whole, early
     return found
+
+
+def _reached(runs: Sequence[Trajectory], limit: Limit, commands: list[int], posed: "_Posed") -> list[list[float]]:
+    """For each of these commands the largest absolute value that a limit bounds, in all and up to tau_(N-1)."""
+    run, grid = runs[0], posed.grid
+    instants = np.append(grid.switching_times_s, grid.end_s)
+    # A switching instant has two samples, just before and just after it; the later one has its command.
+    at, over = slice(0, run.times_s.size), int(run.at_switching[-1]) + 1
+    if not limit.after_the_waveform:
+        begins = int(np.searchsorted(run.times_s, grid.switching_times_s[0], side="left"))
+        at = slice(begins, int(np.searchsorted(run.times_s, grid.end_s, side="right")))
+    taps = slice(None) if len(commands) == run.felt.shape[0] else commands
+    whole, early = np.zeros((2, len(commands)))
+    for row in limit.watched(posed):
+        offset = row.offset
+        if isinstance(offset, np.ndarray):
+            offset = np.interp(run.times_s[at], instants[: offset.size], offset)
+        values = replace(row, offset=offset).value(_motion(runs[row.device], taps, at), run.felt[taps, at])
+        early = np.maximum(early, _largest(values[:, : over - at.start]))
+        whole = np.maximum(whole, _largest(values[:, over - at.start :]))
+    return np.stack([np.maximum(whole, early), early], axis=1).tolist()
+
+
+def _motion(run: Trajectory, taps: slice | list[int], at: slice) -> Motion:
+    """The motion of some taps at some samples."""
+    return Motion(
+        run.acceleration_m_s2[taps, at],
+        run.plant_input[taps, at],
+        run.velocity_m_s[taps, at],
+        np.zeros(0),
+        {name: values[taps, at] for name, values in run.outputs.items()},
+    )
+
+
+def _largest(values: FloatArray) -> FloatArray:
+    """(M,) largest absolute values of M courses (M, K)."""
+    return np.maximum(values.max(axis=1, initial=0.0), -values.min(axis=1, initial=0.0))
+
+
+def alike(limits: Sequence[Limits]) -> list[tuple[Limit, list[int]]]:
+    """Every limit with the indices of the members of `limits` that have it."""
+    found: dict[object, tuple[Limit, list[int]]] = {}
+    for m, of_entry in enumerate(limits):
+        for limit in of_entry:
+            found.setdefault(limit if limit.is_hashable else id(limit), (limit, []))[1].append(m)
+    return list(found.values())
 
 
 @dataclass(frozen=True)
@@ -183,10 +200,9 @@ class _Posed:
         return self.devices[0]
 
 
-def _moves(posed: _Posed) -> bool:
+def _moves(limit: Limit, posed: _Posed) -> bool:
     """Whether a limit depends on anything but input and command."""
-    rows = [row for limit in posed.limits for row in limit.watched(posed)]
-    return any(not row.linear or set(row.outputs) - {INPUT, COMMAND} for row in rows)
+    return any(not row.linear or set(row.outputs) - {INPUT, COMMAND} for row in limit.watched(posed))
 
 
 def _temperatures(
@@ -268,7 +284,10 @@ def replay(
             )
         return replays
     found, course = simulated, simulated.course
-    moving = limits is not None and any(_moves(_Posed((stage, *spread), grid, of_entry)) for of_entry in limits)
+    devices = stage, *spread
+    moving = limits is not None and any(
+        _moves(limit, _Posed(devices, grid, limits[at[0]])) for limit, at in alike(limits)
+    )
     run, command = fine(course, found.flow, grid, moving=moving), course.command
     rounding = course.rounding(found.flow)
     acceleration, later = np.split(found.acceleration_m_s2, [grid.stages], axis=1)
@@ -284,24 +303,26 @@ def replay(
             its_own = accurate(device, grid, commands, None)
             runs.append(fine(its_own.course, its_own.flow, grid))
             step_error = np.maximum(step_error, its_own.step_error)
-    reached = [({}, {})] * M if limits is None else largest_reached(runs, limits, (stage, *spread), grid)
+    reached = [({}, {})] * M if limits is None else largest_reached(runs, limits, devices, grid)
     figures = figures_of(found, Yardstick(grid) if yardstick is None else yardstick, targets)
+    largest = map(_largest, (run.plant_input, command, run.acceleration_m_s2[:, after:]))
+    numbers = np.stack([*largest, winding, housing, rounding, step_error], axis=1).tolist()
     return [
         Replay(
             acceleration_m_s2=acceleration[m],
             plant_input=current[m],
             figures=figures[m],
             after_m_s2=later[m],
-            peak_input=float(np.abs(run.plant_input[m]).max()),
-            peak_command=float(np.abs(command[m]).max()),
-            after_peak_m_s2=float(np.abs(run.acceleration_m_s2[m, after:]).max()),
+            peak_input=peak_input,
+            peak_command=peak_command,
+            after_peak_m_s2=after_peak,
             reached=reached[m][0],
             reached_while_stated=reached[m][1],
-            winding_C=float(winding[m]),
-            housing_C=float(housing[m]),
+            winding_C=winding_C,
+            housing_C=housing_C,
             command=command[m],
-            rounding_m_s2=float(rounding[m]),
-            step_error=float(step_error[m]),
+            rounding_m_s2=off,
+            step_error=by_step,
         )
-        for m in range(M)
+        for m, (peak_input, peak_command, after_peak, winding_C, housing_C, off, by_step) in enumerate(numbers)
     ]

@@ -8,7 +8,7 @@ stage data, the CasADi program, the feasibility program, the certificate and the
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, reduce
+from functools import cached_property, lru_cache, reduce
 from operator import add
 from typing import Any, ClassVar, Protocol, Self
 
@@ -306,6 +306,15 @@ class Limit(ABC):
     def raised(self, by: float) -> Self:
         """The limit increased by so much, in its own unit, on both sides."""
         return self.wider(1 + by / self.stated)
+
+    @cached_property
+    def is_hashable(self) -> bool:
+        """Whether it contains numbers only, no arrays, so that equal limits can be found."""
+        try:
+            hash(self)
+        except TypeError:
+            return False
+        return True
 
     def rows(self, problem: Posed) -> tuple[Row, ...]:
         """The rows of the limit; none for a limit that has its own states, the temperature."""
