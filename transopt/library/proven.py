@@ -40,7 +40,7 @@ from transopt.solvers.native.extension import (
     interior_points,
     linear_passes,
 )
-from transopt.solvers.stage_data import stages, without_limits
+from transopt.solvers.stage_data import stages, without_limits_of
 
 FIGURE = 1e-4  # relative difference allowed between a stated figure of an entry and the predicted one
 REPLAYED = 1e-6  # relative difference allowed between a stated figure and the replayed one
@@ -141,7 +141,7 @@ def _unlimited(problems: Sequence[TransientProblem]) -> list[FloatArray | None]:
 
         found = [several.unlimited(problem) for problem in problems]
         return [None if free is None else free.command for free in found]
-    given = [without_limits(problem) for problem in problems] if available else []
+    given = without_limits_of(problems) if available else []
     if not given or max(each.sizes["states"] for each in given) > MOST_STATES:
         return [None] * len(problems)
     return [

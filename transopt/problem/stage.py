@@ -355,7 +355,7 @@ def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> L
         priced = problem.heat_price > 0
         shared = _Shared(problem.devices, _filters(problem), priced, _law(problem), problem.grid.stages, found)
         derived[_Shared] = shared
-    return shared.linear.scaled(problem.input_scale, _unit_m_s2(problem))
+    return shared.linear.scaled(problem.input_scale, unit_m_s2(problem))
 
 
 def _linear(problem: TransientProblem, current: float, *, physical_scale: bool) -> LinearStage:
@@ -367,7 +367,7 @@ def _linear(problem: TransientProblem, current: float, *, physical_scale: bool) 
     where = layout(problem)
     A = _dynamics(problem, where)
     C, E = _outputs(problem, where)
-    units, unit = np.ones(where.states), _unit_m_s2(problem)
+    units, unit = np.ones(where.states), unit_m_s2(problem)
     if physical_scale:
         N, m, unit = problem.grid.stages, where.motors, 1.0
         if problem.stage.A.shape[0] == where.states - m:
@@ -406,7 +406,7 @@ def _linear(problem: TransientProblem, current: float, *, physical_scale: bool) 
     )
 
 
-def _unit_m_s2(problem: TransientProblem) -> float:
+def unit_m_s2(problem: TransientProblem) -> float:
     """sqrt(E), the unit of the tracked outputs; 1 for a tap of zero."""
     return float(np.sqrt(problem.tracking.energy_m2_s4)) or 1.0
 

@@ -13,7 +13,7 @@ from transopt.problem.stage import layout
 from transopt.proof.farkas import is_infeasible
 from transopt.solvers.native.extension import MOST_ROWS, MOST_STATES, Answer, available, interior_points
 from transopt.solvers.options import SolverOptions
-from transopt.solvers.stage_data import Stages, stages
+from transopt.solvers.stage_data import Stages, stages, stages_of
 
 __all__ = ["available", "can_solve", "solve", "stages"]
 
@@ -50,7 +50,7 @@ def solve(problems: Sequence[TransientProblem], options: SolverOptions) -> list[
     Problems of equal sizes are solved side by side; each is reported with an equal share of the time.
     """
     start = time.perf_counter()
-    given = [stages(problem) for problem in problems]
+    given = stages_of(problems)
     answers = interior_points(given, tolerance=LOOSER * options.tolerance, max_iterations=options.max_iterations)
     spent = (time.perf_counter() - start) / max(len(given), 1)
     return [_solution(each, answer, spent) for each, answer in zip(given, answers, strict=True)]

@@ -6,10 +6,13 @@ They are computed from the linear stage and from the rows of the limits, as the 
 
 import operator
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import numpy as np
 
+from transopt.base.recursions import address
 from transopt.base.signals import FloatArray
 from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers
 from transopt.problem.heat import mean_current
@@ -17,13 +20,15 @@ from transopt.problem.limits import hand_over
 from transopt.problem.limits.limit import COMMAND, HELD, INPUT
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.error_term import ErrorTerm
-from transopt.problem.objective.tail import tail
+from transopt.problem.objective.tail import tail, tails
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage import LinearStage, layout, linear_stage
+from transopt.problem.stage import LinearStage, layout, linear_stage, unit_m_s2
 from transopt.solvers.modes import Modes, modes_of
 
 SIZE_BOUND = 2.0  # bound of the mean current's magnitude, relative to the limit current
 MOST_KEPT = 64  # cached problems per thread: as many as are solved side by side, also without the temperature
+NO_LIMITS = dict.fromkeys(("G", "d", "d_size", "lower", "upper"), np.zeros(0))
+NO_ADDRESSES = {name: address(array) for name, array in NO_LIMITS.items()}
 WINDING = "winding"  # name of the row that limits the thermal recursion's first state
 
 
@@ -243,6 +248,11 @@ class Stages:
     numbers: dict[str, float]
     arrays: dict[str, FloatArray]
 
+    @cached_property
+    def addresses(self) -> dict[str, int]:
+        """Addresses of the arrays, by name."""
+        return {name: address(array) for name, array in self.arrays.items()}
+
     def command(self, scaled: FloatArray) -> FloatArray:
         """(N,) commands [A] from scaled ones (N,), clipped to the command bound (`held`)."""
         return held(self.problem, scaled * self.input_scale)
@@ -285,17 +295,33 @@ _memory = threading.local()
 
 
 def stages(problem: TransientProblem) -> Stages:
-    """Stage data of a problem; the most recent ones are cached, since a problem is solved, proven and solved again.
+    """Stage data of one problem, by `stages_of`."""
+    return stages_of([problem])[0]
 
-    Two problems share an entry of the cache if all their parts are the same objects.
+
+def stages_of(problems: Sequence[TransientProblem]) -> list[Stages]:
+    """Stage data of problems, those of one grip computed together.
+
+    The most recent ones are cached, since a problem is solved, proven and solved again. Two problems share an entry
+    of the cache if all their parts are the same objects.
     """
     kept: dict[tuple[int, ...], Stages] = vars(_memory).setdefault("kept", {})
-    parts = tuple(map(id, (*problem.limits, *PARTS(problem))))  # valid, as the cached problem keeps these objects
-    found = kept.pop(parts, None) or _stages(problem)
-    if len(kept) >= MOST_KEPT:
+    # The identities are valid, as a cached problem keeps these objects.
+    keys = [tuple(map(id, (*problem.limits, *PARTS(problem)))) for problem in problems]
+    found = {key: kept.pop(key) for key in dict.fromkeys(keys) if key in kept}
+    groups: dict[object, dict[tuple[int, ...], TransientProblem]] = {}
+    for key, problem in zip(keys, problems, strict=True):
+        if key not in found:
+            groups.setdefault(_shared_by(problem) or key, {})[key] = problem
+    for group in groups.values():
+        found.update(zip(group, _stages([*group.values()]), strict=True))
+    kept.update(found)
+    while len(kept) > MOST_KEPT:
         del kept[next(iter(kept))]
-    kept[parts] = found
-    return found if found.problem is problem else replace(found, problem=problem)
+    return [
+        of if of.problem is problem else replace(of, problem=problem)
+        for of, problem in zip([found[key] for key in keys], problems, strict=True)
+    ]
 
 
 PARTS = operator.attrgetter(*(field.name for field in fields(TransientProblem) if field.name != "limits"))
@@ -323,6 +349,11 @@ class _Template:
     numbers: dict[str, float]
     arrays: dict[str, FloatArray]
 
+    @cached_property
+    def addresses(self) -> dict[str, int]:
+        """Addresses of the arrays, by name."""
+        return {name: address(array) for name, array in self.arrays.items()}
+
     def serves(self, A: FloatArray, terms: tuple[ErrorTerm, ...], others: tuple[object, ...] | None) -> bool:
         return self.A is A and self.terms is terms and others is not None and self.others == others
 
@@ -338,14 +369,15 @@ def _template(problem: TransientProblem, stage: LinearStage) -> _Template:
 
 
 def _others(problem: TransientProblem) -> tuple[object, ...] | None:
-    limits, shares = problem.limits, problem.shares
-    try:
-        hash(limits)  # limits that contain arrays are not hashable
-    except TypeError:
+    if not problem.limits.are_hashable or problem.wall is not None or problem.shares is not None:
         return None
-    if problem.wall is not None or shares is not None:
-        return None
-    return (limits, problem.rho, problem.intensity, problem.heat_price, problem.hand_over_samples)
+    return (problem.limits, problem.rho, problem.intensity, problem.heat_price, problem.hand_over_samples)
+
+
+def _shared_by(problem: TransientProblem) -> tuple[object, ...] | None:
+    """The key of problems that differ only in the target; None for a problem that shares its data with no other."""
+    others = _others(problem)
+    return None if others is None else (*map(id, problem.devices), id(problem.terms), problem.grid, *others)
 
 
 def _template_of(problem: TransientProblem, stage: LinearStage, others: tuple[object, ...] | None) -> _Template:
@@ -393,30 +425,51 @@ def _template_of(problem: TransientProblem, stage: LinearStage, others: tuple[ob
     )
 
 
-def _stages(problem: TransientProblem) -> Stages:
-    stage = linear_stage(problem)
-    shared, after, by = _template(problem, stage), tail(problem, stage), np.sqrt(2 / OBJECTIVE_SCALE)
+def _stages(problems: Sequence[TransientProblem]) -> list[Stages]:
+    """Stage data of problems that differ only in the target."""
+    first, by = problems[0], np.sqrt(2 / OBJECTIVE_SCALE)
+    stage = linear_stage(first)
+    shared, gain, after = _template(first, stage), *tails(problems, stage)
+    # The tracked outputs are in units of sqrt(E), which is that of each target.
+    units = stage.unit_m_s2 / np.array([unit_m_s2(problem) for problem in problems])
+    of_outputs = np.ones((len(problems), shared.sizes["outputs"], 1))
+    of_outputs[:, : stage.errors] = units[:, None, None]
     directly = np.zeros_like(stage.E) if shared.sizes["current"] >= 0 else stage.E
     arrays = {
-        "C": stage.C @ shared.modes.T,
-        "E": directly,
-        "reference": _wanted(problem),
-        "end_gain": after.gain @ shared.modes.T * by,
-        "end_target": after.target * by,
+        "C": stage.C @ shared.modes.T * of_outputs,
+        "E": directly * of_outputs,
+        "reference": np.ascontiguousarray([_wanted(problem) for problem in problems]),
+        "end_gain": gain @ shared.modes.T * (by * units[:, None, None]),
+        "end_target": by * np.stack([each.target for each in after]),
     }
-    return Stages(
-        problem=problem,
-        input_scale=stage.input_scale,
-        kelvin=shared.kelvin,
-        limits=shared.limits,
-        sizes=shared.sizes | {"ends": after.target.size},
-        numbers=shared.numbers | {"constant": (problem.tracking.constant + after.rest) / OBJECTIVE_SCALE},
-        arrays=shared.arrays | {name: np.ascontiguousarray(array, dtype=float) for name, array in arrays.items()},
-    )
+    places = {name: (address(array), array.strides[0]) for name, array in arrays.items()}
+    sizes, found = shared.sizes | {"ends": gain.shape[0]}, []
+    for j, (problem, its_tail) in enumerate(zip(problems, after, strict=True)):
+        numbers = {"constant": (problem.tracking.constant + its_tail.rest) / OBJECTIVE_SCALE}
+        given = Stages(
+            problem=problem,
+            input_scale=stage.input_scale,
+            kelvin=shared.kelvin,
+            limits=shared.limits,
+            sizes=sizes,
+            numbers=shared.numbers | numbers,
+            arrays=shared.arrays | {name: array[j] for name, array in arrays.items()},
+        )
+        vars(given)["addresses"] = shared.addresses | {name: at + j * step for name, (at, step) in places.items()}
+        found.append(given)
+    return found
 
 
 def without_limits(problem: TransientProblem) -> Stages:
-    """Stage data of the same problem without limits: the input of a linear pass."""
-    found = stages(problem.without(TemperatureLimit.name))
-    none = dict.fromkeys(("G", "d", "d_size", "lower", "upper"), np.zeros(0))
-    return replace(found, sizes=found.sizes | {"rows": 0}, arrays=found.arrays | none)
+    """Stage data of the same problem without limits, by `without_limits_of`."""
+    return without_limits_of([problem])[0]
+
+
+def without_limits_of(problems: Sequence[TransientProblem]) -> list[Stages]:
+    """Stage data of the same problems without limits: the input of a linear pass."""
+    found = []
+    for given in stages_of([problem.without(TemperatureLimit.name) for problem in problems]):
+        bare = replace(given, sizes=given.sizes | {"rows": 0}, arrays=given.arrays | NO_LIMITS)
+        vars(bare)["addresses"] = given.addresses | NO_ADDRESSES
+        found.append(bare)
+    return found

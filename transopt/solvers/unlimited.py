@@ -69,7 +69,7 @@ def _by_compiled_pass(problems: Sequence[TransientProblem]) -> list[Solution | N
     found: list[Solution | None] = [None] * len(problems)
     layouts = [layout(problem) for problem in problems]
     taken = [i for i, each in enumerate(layouts) if each.motors == 1 and each.states <= extension.MOST_STATES]
-    given = [stage_data.without_limits(problems[i]) for i in taken]
+    given = stage_data.without_limits_of([problems[i] for i in taken])
     answers = extension.linear_passes(given, GAP)
     spent = (time.perf_counter() - start) / max(len(taken), 1)
     for i, stages, answer in zip(taken, given, answers, strict=True):

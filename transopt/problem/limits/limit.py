@@ -441,6 +441,11 @@ class Limits:
     def __iter__(self) -> Iterator[Limit]:
         return iter(self.members)
 
+    @cached_property
+    def are_hashable(self) -> bool:
+        """Whether each of them is, so that equal ones can be found."""
+        return all(limit.is_hashable for limit in self.members)
+
     def get(self, name: str) -> Limit | None:
         return next((limit for limit in self.members if limit.name == name), None)
 

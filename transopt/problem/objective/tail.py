@@ -6,6 +6,7 @@ over hundreds of rows becomes |R x_N - Q' r_after|^2 plus a constant, with R of 
 square it keeps all digits; x' P x - 2 p' x would cancel.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,23 +64,38 @@ class _Free:
 
 def tail(problem: TransientProblem, stage: LinearStage) -> Tail:
     """The tail's cost of a problem, for the states of its linear stage."""
-    M, n = problem.grid.after_stages, stage.units.size
-    if M == 0 or not any(term.after > 0 for term in problem.terms):
-        return Tail(np.zeros((0, n)), np.zeros(0), 0.0)
-    free = _free(problem, stage)
-    wanted = problem.tracking.unit_wanted[:, problem.grid.stages :]
-    asked = wanted[free.counting % wanted.shape[0]].T.ravel()
+    return tails([problem], stage)[1][0]
+
+
+def tails(problems: Sequence[TransientProblem], stage: LinearStage) -> tuple[FloatArray, list[Tail]]:
+    """The tails' costs of problems that differ only in the target, and without a wall in no more.
+
+    Parameters
+    ----------
+    stage : linear stage of the first problem.
+
+    Returns
+    -------
+    The gain of the first problem, and the tail of each, whose gain is inversely proportional to its unit sqrt(E).
+    """
+    first = problems[0]
+    M, n = first.grid.after_stages, stage.units.size
+    if M == 0 or not any(term.after > 0 for term in first.terms):
+        return np.zeros((0, n)), [Tail(np.zeros((0, n)), np.zeros(0), 0.0)] * len(problems)
+    free = _free(first, stage)
+    wanted = np.stack([problem.tracking.unit_wanted[:, first.grid.stages :] for problem in problems])
+    asked = np.swapaxes(wanted[:, free.counting % wanted.shape[1]], 1, 2).reshape(len(problems), -1)
     with np.errstate(over="ignore", invalid="ignore"):  # the loop of an unstable wall overflows
-        if problem.wall is None:
+        if first.wall is None:
             Q, gain = free.Q, free.R * (stage.input_scale / stage.unit_m_s2)
         else:
-            by_state, offset = _walled(problem, stage, free.counting)
+            by_state, offset = _walled(first, stage, free.counting)
             Q, gain = np.linalg.qr(by_state * free.roots[:, None])
             asked = asked - offset
         asked = asked * free.roots
-        target = asked @ Q
-        rest = max(float(asked @ asked - target @ target), 0.0)
-    return Tail(gain, target, rest)
+        targets = asked @ Q
+        rests = np.maximum(np.sum(asked**2, axis=1) - np.sum(targets**2, axis=1), 0.0)
+    return gain, [Tail(gain, target, rest) for target, rest in zip(targets, rests.tolist(), strict=True)]
 
 
 def _free(problem: TransientProblem, stage: LinearStage) -> _Free:

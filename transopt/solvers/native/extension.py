@@ -8,11 +8,12 @@ The extension is optional. Where it was not built, `available` is False.
 import ctypes as ct
 import os
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from transopt.base.recursions import address
 from transopt.base.signals import FloatArray
@@ -39,6 +40,9 @@ PROBLEM_FIELDS: list[tuple[str, Any]] = [
 
 class _Problem(ct.Structure):
     _fields_ = PROBLEM_FIELDS
+
+
+PROBLEM = np.dtype(_Problem)
 
 
 class _Host(ct.Structure):
@@ -73,11 +77,11 @@ def _library() -> ct.CDLL | None:
     library = ct.PyDLL(str(file))
     if not hasattr(library, "tr_interface") or library.tr_interface() != INTERFACE:
         return None  # built from another version: not usable
-    problem, result = ct.POINTER(_Problem), ct.POINTER(_Result)
-    library.tr_workspace.restype, library.tr_workspace.argtypes = ct.c_size_t, (ct.c_int, problem)
-    library.tr_solve.argtypes = (ct.c_int, problem, ct.POINTER(_Options), DOUBLES, result)
+    array = ct.c_void_p  # the address of an array of structures, or of doubles
+    library.tr_workspace.restype, library.tr_workspace.argtypes = ct.c_size_t, (ct.c_int, array)
+    library.tr_solve.argtypes = (ct.c_int, array, ct.POINTER(_Options), array, array)
     library.tr_linear.argtypes = library.tr_solve.argtypes
-    library.tr_prove.argtypes = (ct.c_int, problem, DOUBLES, ct.POINTER(_Proof))
+    library.tr_prove.argtypes = (ct.c_int, array, array, array)
     return library
 
 
@@ -124,11 +128,11 @@ MOST_KEPT_BYTES = 2**25  # largest workspace kept per thread; enough for eight p
 _memory = threading.local()
 
 
-def _workspace(count: int, problems: ct.Array[_Problem]) -> FloatArray:
+def _workspace(count: int, problems: NDArray[np.void]) -> FloatArray:
     """The workspace of this thread, reused: allocating fresh memory takes as long as solving a short problem."""
     assert _LIBRARY is not None
     kept: FloatArray = vars(_memory).setdefault("kept", np.empty(0))
-    needed = _LIBRARY.tr_workspace(count, problems)
+    needed = _LIBRARY.tr_workspace(count, address(problems))
     if kept.size >= needed:
         return kept
     fresh = np.empty(needed)
@@ -137,12 +141,23 @@ def _workspace(count: int, problems: ct.Array[_Problem]) -> FloatArray:
     return fresh
 
 
-def _stated(stages: Stages) -> _Problem:
-    """A problem as the C structure, cached with its stage data, which keep the arrays alive."""
-    if "stated" not in vars(stages):
-        arrays = {name: address(array) for name, array in stages.arrays.items()}
-        vars(stages)["stated"] = _Problem(**stages.sizes, **stages.numbers, **arrays)
-    found: _Problem = vars(stages)["stated"]
+def _stated(given: Sequence[Stages]) -> NDArray[np.void]:
+    """Problems as an array of the C structure; their stage data keep the arrays alive."""
+    found = np.empty(len(given), dtype=PROBLEM)
+    for name, kind in PROBLEM_FIELDS:
+        if kind is DOUBLES:
+            found[name] = [each.addresses[name] for each in given]
+        else:
+            found[name] = [(each.sizes if kind is ct.c_int else each.numbers)[name] for each in given]
+    return found
+
+
+def _at(arrays: Mapping[str, FloatArray], kind: type[ct.Structure]) -> NDArray[np.void]:
+    """An array of a C structure whose addresses are those of the rows of arrays, by the name of the field."""
+    count = len(next(iter(arrays.values())))
+    found = np.zeros(count, dtype=np.dtype(kind))
+    for name, array in arrays.items():
+        found[name] = address(array) + array.strides[0] * np.arange(count)
     return found
 
 
@@ -158,23 +173,20 @@ def _answers(method: Any, given: Sequence[Stages], asked: _Options) -> list[Answ
     """Answers of `tr_solve` or `tr_linear` to problems of any sizes, in their order."""
     found: dict[int, Answer] = {}
     for group in _of_equal_sizes(given):
-        sizes, count = given[group[0]].sizes, len(group)
-        N, rows = sizes["stages"], sizes["rows"]
+        some, count = [given[i] for i in group], len(group)
+        N, rows, nodes = (some[0].sizes[name] for name in ("stages", "rows", "nodes"))
         command, size, gradient = np.zeros((3, count, N))
-        bounds = np.zeros((2, count, N + 1, rows))
-        start = np.zeros((count, max(sizes["nodes"], 1)))
-        # An empty NumPy array has no usable address for C: pass an array of one number instead.
-        arrays = (command, size, *(bounds if rows else np.zeros((2, count, 1))), gradient, start)
-        first, step = [address(array) for array in arrays], [array[0].nbytes for array in arrays]
-        problems = (_Problem * count)(*(_stated(given[i]) for i in group))
-        results = (_Result * count)(
-            *(_Result(*(at + j * by for at, by in zip(first, step, strict=True))) for j in range(count))
-        )
-        method(count, problems, ct.byref(asked), address(_workspace(count, problems)), results)
-        for j, i in enumerate(group):
-            r = results[j]
-            told = (r.code, r.iterations, r.objective, r.gap, r.residual)
-            found[i] = Answer(*told, command[j], gradient[j], bounds[0, j], bounds[1, j])
+        # An empty NumPy array has no usable address for C: there is always room for one row.
+        sides = np.zeros((2, count, (N + 1) * max(rows, 1)))
+        start = np.zeros((count, max(nodes, 1)))
+        arrays = {"command": command, "size": size, "gradient": gradient, "start": start}
+        problems, results = _stated(some), _at(arrays | {"lower": sides[0], "upper": sides[1]}, _Result)
+        space = _workspace(count, problems)
+        method(count, address(problems), ct.byref(asked), address(space), address(results))
+        lower, upper = sides[..., : (N + 1) * rows].reshape(2, count, N + 1, rows)
+        told = (results[name].tolist() for name in ("code", "iterations", "objective", "gap", "residual"))
+        for j, (i, numbers) in enumerate(zip(group, zip(*told, strict=True), strict=True)):
+            found[i] = Answer(*numbers, command[j], gradient[j], lower[j], upper[j])
     return [found[i] for i in range(len(given))]
 
 
@@ -246,12 +258,6 @@ class Judged(NamedTuple):
     by_rule: FloatArray
 
 
-def _asked(judged: Judged, excess: FloatArray) -> _Proof:
-    multipliers = (None, None) if judged.by_row is None else map(address, judged.by_row)
-    bounds = map(address, judged.stages.limits.asked)
-    return _Proof(address(judged.command), *multipliers, address(judged.by_rule), *bounds, address(excess))
-
-
 def prove(asked: Sequence[Judged]) -> list[Proof]:
     """Compute the certificates' numbers of commands; problems of equal sizes side by side."""
     assert _LIBRARY is not None
@@ -259,10 +265,17 @@ def prove(asked: Sequence[Judged]) -> list[Proof]:
     for group in _of_equal_sizes([each.stages for each in asked]):
         some, count = [asked[i] for i in group], len(group)
         excess = np.empty((count, max(some[0].stages.sizes["rows"], 1)))
-        problems = (_Problem * count)(*(_stated(each.stages) for each in some))
-        proofs = (_Proof * count)(*(_asked(each, row) for each, row in zip(some, excess, strict=True)))
-        _LIBRARY.tr_prove(count, problems, address(_workspace(count, problems)), proofs)
-        for i, proof, row, each in zip(group, proofs, excess, some, strict=True):
-            numbers = (getattr(proof, name) for name in Proof._fields[1:])
+        problems, proofs = _stated([each.stages for each in some]), _at({"excess": excess}, _Proof)
+        proofs["command"] = [address(each.command) for each in some]
+        proofs["by_rule"] = [address(each.by_rule) for each in some]
+        sides = [(0, 0) if each.by_row is None else tuple(map(address, each.by_row)) for each in some]
+        proofs["by_lower"], proofs["by_upper"] = np.transpose(sides)
+        asked_of = [each.stages.limits.asked for each in some]
+        proofs["lower"] = firsts = np.array([address(each) for each in asked_of], dtype=np.uintp)
+        proofs["upper"] = firsts + np.array([each.strides[0] for each in asked_of], dtype=np.uintp)
+        space = _workspace(count, problems)
+        _LIBRARY.tr_prove(count, address(problems), address(space), address(proofs))
+        told = zip(*(proofs[name].tolist() for name in Proof._fields[1:]), strict=True)
+        for i, row, each, numbers in zip(group, excess, some, told, strict=True):
             found[i] = Proof(row[: each.stages.sizes["rows"]], *numbers)
     return [found[i] for i in range(len(asked))]
