@@ -7,7 +7,7 @@ error filters for each of them.
 """
 
 import operator
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -355,7 +355,7 @@ def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> L
         priced = problem.heat_price > 0
         shared = _Shared(problem.devices, _filters(problem), priced, _law(problem), problem.grid.stages, found)
         derived[_Shared] = shared
-    return shared.linear.scaled(problem.input_scale, unit_m_s2(problem))
+    return shared.linear.scaled(problem.input_scale, _unit_m_s2(problem))
 
 
 def _linear(problem: TransientProblem, current: float, *, physical_scale: bool) -> LinearStage:
@@ -367,7 +367,7 @@ def _linear(problem: TransientProblem, current: float, *, physical_scale: bool) 
     where = layout(problem)
     A = _dynamics(problem, where)
     C, E = _outputs(problem, where)
-    units, unit = np.ones(where.states), unit_m_s2(problem)
+    units, unit = np.ones(where.states), _unit_m_s2(problem)
     if physical_scale:
         N, m, unit = problem.grid.stages, where.motors, 1.0
         if problem.stage.A.shape[0] == where.states - m:
@@ -406,9 +406,23 @@ def _linear(problem: TransientProblem, current: float, *, physical_scale: bool) 
     )
 
 
-def unit_m_s2(problem: TransientProblem) -> float:
+def _unit_m_s2(problem: TransientProblem) -> float:
     """sqrt(E), the unit of the tracked outputs; 1 for a tap of zero."""
     return float(np.sqrt(problem.tracking.energy_m2_s4)) or 1.0
+
+
+def units_m_s2(problems: Sequence[TransientProblem]) -> FloatArray:
+    """(P,) units of the tracked outputs of problems."""
+    return np.array([_unit_m_s2(problem) for problem in problems])
+
+
+def outputs_of(problems: Sequence[TransientProblem]) -> tuple[FloatArray, FloatArray]:
+    """(P, outputs, n) C and (P, outputs, m) E of the linear stages of problems that differ only in the target."""
+    stage = linear_stage(problems[0])
+    shared: _Shared = problems[0].stage.derived[_Shared]
+    by = np.ones((len(problems), stage.C.shape[0], 1))
+    by[:, : stage.errors] = (stage.input_scale / units_m_s2(problems))[:, None, None]
+    return shared.linear.C * by, shared.linear.E * by
 
 
 def _named(

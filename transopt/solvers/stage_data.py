@@ -22,7 +22,7 @@ from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.objective.tail import tail, tails
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage import LinearStage, layout, linear_stage, unit_m_s2
+from transopt.problem.stage import LinearStage, layout, linear_stage, outputs_of
 from transopt.solvers.modes import Modes, modes_of
 
 SIZE_BOUND = 2.0  # bound of the mean current's magnitude, relative to the limit current
@@ -427,23 +427,18 @@ def _template_of(problem: TransientProblem, stage: LinearStage, others: tuple[ob
 
 def _stages(problems: Sequence[TransientProblem]) -> list[Stages]:
     """Stage data of problems that differ only in the target."""
-    first, by = problems[0], np.sqrt(2 / OBJECTIVE_SCALE)
-    stage = linear_stage(first)
-    shared, gain, after = _template(first, stage), *tails(problems, stage)
-    # The tracked outputs are in units of sqrt(E), which is that of each target.
-    units = stage.unit_m_s2 / np.array([unit_m_s2(problem) for problem in problems])
-    of_outputs = np.ones((len(problems), shared.sizes["outputs"], 1))
-    of_outputs[:, : stage.errors] = units[:, None, None]
-    directly = np.zeros_like(stage.E) if shared.sizes["current"] >= 0 else stage.E
+    stage, by = linear_stage(problems[0]), np.sqrt(2 / OBJECTIVE_SCALE)
+    shared, after = _template(problems[0], stage), tails(problems, stage)
+    C, E = outputs_of(problems)
     arrays = {
-        "C": stage.C @ shared.modes.T * of_outputs,
-        "E": directly * of_outputs,
+        "C": C @ shared.modes.T,
+        "E": np.zeros_like(E) if shared.sizes["current"] >= 0 else E,
         "reference": np.ascontiguousarray([_wanted(problem) for problem in problems]),
-        "end_gain": gain @ shared.modes.T * (by * units[:, None, None]),
-        "end_target": by * np.stack([each.target for each in after]),
+        "end_gain": np.stack([each.gain for each in after]) @ shared.modes.T * by,
+        "end_target": np.stack([each.target for each in after]) * by,
     }
     places = {name: (address(array), array.strides[0]) for name, array in arrays.items()}
-    sizes, found = shared.sizes | {"ends": gain.shape[0]}, []
+    sizes, found = shared.sizes | {"ends": after[0].target.size}, []
     for j, (problem, its_tail) in enumerate(zip(problems, after, strict=True)):
         numbers = {"constant": (problem.tracking.constant + its_tail.rest) / OBJECTIVE_SCALE}
         given = Stages(

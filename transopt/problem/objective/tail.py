@@ -17,7 +17,7 @@ from transopt.plant.discretise import powers
 from transopt.problem.limits import hand_over
 from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage import LinearStage
+from transopt.problem.stage import LinearStage, units_m_s2
 
 
 @dataclass(frozen=True)
@@ -64,38 +64,34 @@ class _Free:
 
 def tail(problem: TransientProblem, stage: LinearStage) -> Tail:
     """The tail's cost of a problem, for the states of its linear stage."""
-    return tails([problem], stage)[1][0]
+    return tails([problem], stage)[0]
 
 
-def tails(problems: Sequence[TransientProblem], stage: LinearStage) -> tuple[FloatArray, list[Tail]]:
-    """The tails' costs of problems that differ only in the target, and without a wall in no more.
+def tails(problems: Sequence[TransientProblem], stage: LinearStage) -> list[Tail]:
+    """The tails' costs of problems that differ only in the target; with a wall there is only one.
 
     Parameters
     ----------
     stage : linear stage of the first problem.
-
-    Returns
-    -------
-    The gain of the first problem, and the tail of each, whose gain is inversely proportional to its unit sqrt(E).
     """
     first = problems[0]
     M, n = first.grid.after_stages, stage.units.size
     if M == 0 or not any(term.after > 0 for term in first.terms):
-        return np.zeros((0, n)), [Tail(np.zeros((0, n)), np.zeros(0), 0.0)] * len(problems)
+        return [Tail(np.zeros((0, n)), np.zeros(0), 0.0)] * len(problems)
     free = _free(first, stage)
     wanted = np.stack([problem.tracking.unit_wanted[:, first.grid.stages :] for problem in problems])
     asked = np.swapaxes(wanted[:, free.counting % wanted.shape[1]], 1, 2).reshape(len(problems), -1)
     with np.errstate(over="ignore", invalid="ignore"):  # the loop of an unstable wall overflows
         if first.wall is None:
-            Q, gain = free.Q, free.R * (stage.input_scale / stage.unit_m_s2)
+            Q, gains = free.Q, free.R * (stage.input_scale / units_m_s2(problems))[:, None, None]
         else:
             by_state, offset = _walled(first, stage, free.counting)
             Q, gain = np.linalg.qr(by_state * free.roots[:, None])
-            asked = asked - offset
+            asked, gains = asked - offset, gain[None]
         asked = asked * free.roots
-        targets = asked @ Q
-        rests = np.maximum(np.sum(asked**2, axis=1) - np.sum(targets**2, axis=1), 0.0)
-    return gain, [Tail(gain, target, rest) for target, rest in zip(targets, rests.tolist(), strict=True)]
+        targets = np.matmul(asked[:, None, :], Q)[:, 0]
+        rests = [max(float(a @ a - t @ t), 0.0) for a, t in zip(asked, targets, strict=True)]
+    return [Tail(*each) for each in zip(gains, targets, rests, strict=True)]
 
 
 def _free(problem: TransientProblem, stage: LinearStage) -> _Free:
