@@ -267,7 +267,7 @@ def _peaks(library: Library, iv: int, ig: int, again: Answered) -> Iterator[str]
             yield f"peak_temperature_C says {stored:.6g} C of a device without a coil"
         return
     model, coil = problem.thermal.model, problem.thermal.coil
-    hottest = max(float((again.designed.effect.rise_K[1:, 0] + model.unpowered_C).max()), coil.start_winding_C)
+    hottest = max(float(again.designed.effect.winding_C.max()), coil.start_winding_C)
     # For endless taps the two methods sum the steady state, and so the rise from ambient, in different ways.
     rise_K = 0.0 if model.closure is None else abs(hottest - coil.ambient_C)
     if not abs(stored - hottest) <= WARM_K + STEADY * rise_K:

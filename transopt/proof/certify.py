@@ -156,6 +156,12 @@ class Effect:
         assert self.problem.thermal is not None
         return self.problem.thermal.model.rise(self.mean_square_A2)
 
+    @cached_property
+    def winding_C(self) -> FloatArray:
+        """(N,) winding temperature at tau_1 to tau_N; only for a problem with a temperature limit."""
+        assert self.problem.thermal is not None
+        return np.asarray(self.rise_K[1:, 0] + self.problem.thermal.model.unpowered_C)
+
     def by_heating(self, multipliers: Multipliers) -> FloatArray:
         """(N,) gradient of the temperature limit's term of the Lagrangian by the heatings; zero without a limit."""
         thermal, by_winding = self.problem.thermal, multipliers.upper(TEMPERATURE)
@@ -191,9 +197,8 @@ def boxes_of(effect: Effect, multipliers: Multipliers, *, only: str | None = Non
             yield Box(limit, effect.value(row), *row.bounds(N), m.lower(row.name), m.upper(row.name), row.condition)
     thermal = problem.thermal
     if thermal is not None and only in (None, thermal.name):
-        model = thermal.model
-        winding, limit_C = effect.rise_K[1:, 0] + model.unpowered_C, model.headroom_K + model.unpowered_C
-        yield Box(thermal, winding, np.full(N, -np.inf), limit_C, m.lower(TEMPERATURE), m.upper(TEMPERATURE))
+        sides = np.full(N, -np.inf), thermal.bounds_C
+        yield Box(thermal, effect.winding_C, *sides, m.lower(TEMPERATURE), m.upper(TEMPERATURE))
 
 
 def inside(
@@ -399,8 +404,12 @@ def is_stated(problem: TransientProblem, command: FloatArray, multipliers: Multi
     N, arrays = problem.grid.stages, [command, *multipliers.arrays()]
     motors = problem.rest.shape[:-1]
     shapes = [(*motors, N)] + [(N,)] * (len(arrays) - 3) + [(*motors, problem.hand_over_samples), (N,)]
-    stated = [a.shape for a in arrays] == shapes
-    return stated and bool(np.isfinite(np.concatenate([a.ravel() for a in arrays])).all())
+    return [a.shape for a in arrays] == shapes and all(map(_is_finite, arrays))
+
+
+def _is_finite(array: FloatArray) -> bool:
+    """Whether all numbers are finite; the sum of their squares, fast, settles that unless it overflows."""
+    return bool(np.isfinite(np.vdot(array, array))) or bool(np.isfinite(array).all())
 
 
 def left_over(

@@ -54,7 +54,7 @@ _BUTCHER, _WEIGHTS = _radau(5)
 def _step_map(A: FloatArray, B: FloatArray, h_s: float) -> tuple[FloatArray, FloatArray]:
     """One Radau step of dx/dt = A x + B u with u held: x+ = P x + Q u."""
     n, s = A.shape[0], _WEIGHTS.size
-    equations = np.eye(s * n) - h_s * np.kron(_BUTCHER, A)
+    equations = np.eye(s * n) - h_s * np.einsum("ij,kl->ikjl", _BUTCHER, A).reshape(s * n, s * n)
     slopes = np.linalg.solve(equations, np.tile(np.hstack([A, B]), (s, 1))).reshape(s, n, n + 1)
     step = h_s * np.einsum("s,snm->nm", _WEIGHTS, slopes)
     return np.eye(n) + step[:, :n], step[:, n:]

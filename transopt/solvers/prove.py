@@ -6,6 +6,7 @@ The results equal those of `proof.certify`, but are computed from the stage data
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import compress
 
 import numpy as np
 
@@ -13,9 +14,9 @@ from transopt.base.signals import FloatArray
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import TEMPERATURE, Effect, boxes_of, certify, is_stated, left_over
+from transopt.proof.certify import TEMPERATURE, Effect, certify, is_stated, left_over
 from transopt.solvers.native.extension import MOST_ROWS, MOST_STATES, Judged, Proof, available, prove
-from transopt.solvers.stage_data import Stages, stages
+from transopt.solvers.stage_data import Stages, stages_of
 
 
 def certified(
@@ -32,18 +33,24 @@ def certified(
 
 def certificates(answers: Sequence[tuple[Effect, Multipliers]]) -> list[Certificate]:
     """Certificates of commands, each given by its effect; problems of equal sizes are computed side by side."""
-    means = [(_in_the_mean(effect), each) for effect, each in answers]
-    asked = [_asked(mean, each) if _is_known(mean, each) else None for mean, each in means]
-    known = [each for each in asked if each is not None]
-    proofs = iter(prove(known) if known else ())  # `known` is empty without the extension
+    means = [(_in_the_mean(effect), multipliers) for effect, multipliers in answers]
+    known = [i for i, mean in enumerate(means) if _is_known(*mean)]
+    problems = [means[i][0].problem for i in known]
+    given = stages_of([problem.without(TemperatureLimit.name) for problem in problems])
+    fit = [each.sizes["rows"] <= MOST_ROWS and each.sizes["states"] <= MOST_STATES for each in given]
+    asked = [_asked(*means[i], each) for i, each, fits in zip(known, given, fit, strict=True) if fits]
+    proofs: dict[int, Certificate | None] = {}
+    if asked:  # empty without the extension
+        for i, judged, proof in zip(compress(known, fit), asked, prove(asked), strict=True):
+            proofs[i] = _certificate(*means[i], judged.stages, proof)
     found = []
-    for (effect, each), (mean, _), judged in zip(answers, means, asked, strict=True):
-        proof = None if judged is None else _certificate(mean, each, judged.stages, next(proofs))
-        if proof is None:
-            proof = certify(effect.problem, effect.command, each, effect=effect)
+    for i, (effect, multipliers) in enumerate(answers):
+        own = proofs.get(i)
+        if own is None:
+            own = certify(effect.problem, effect.command, multipliers, effect=effect)
         elif effect.problem.worst:
-            proof = _of_the_worst(proof, effect)
-        found.append(proof)
+            own = _of_the_worst(own, effect)
+        found.append(own)
     return found
 
 
@@ -79,22 +86,19 @@ def _is_known(effect: Effect, multipliers: Multipliers) -> bool:
     return is_stated(problem, command, multipliers)
 
 
-def _asked(effect: Effect, multipliers: Multipliers) -> Judged | None:
-    """Arguments of the compiled call; None where the problem is too large."""
-    problem, m = effect.problem, multipliers.clipped()
-    given = stages(problem.without(TemperatureLimit.name))
-    if given.sizes["rows"] > MOST_ROWS or given.sizes["states"] > MOST_STATES:
-        return None
-    by_row = None
-    if any(side.any() for name, pair in m.pairs.items() if name != TEMPERATURE for side in pair):
-        names, by = [row.name for _, row in problem.rows()], _units(problem, given) / OBJECTIVE_SCALE
-        by_row = (
-            np.stack([m.lower(name) for name in names], -1) * by,
-            np.stack([m.upper(name) for name in names], -1) * by,
-        )
-    return Judged(
-        given, effect.command / given.input_scale, by_row, m.hand_over * (given.input_scale / OBJECTIVE_SCALE)
-    )
+def _asked(effect: Effect, multipliers: Multipliers, given: Stages) -> Judged:
+    """Arguments of the compiled call."""
+    problem, N, by_row = effect.problem, given.sizes["stages"], None
+    pairs = [pair for name, pair in multipliers.pairs.items() if name != TEMPERATURE]
+    if any(side.any() for pair in pairs for side in pair):
+        sides, by = np.zeros((2, N, given.sizes["rows"])), _units(problem, given) / OBJECTIVE_SCALE
+        for j, (_, row) in enumerate(problem.rows()):
+            if row.name in multipliers.pairs:
+                sides[..., j] = multipliers.pairs[row.name]
+        lower, upper = np.maximum(sides, 0.0) * by
+        by_row = lower, upper
+    by_rule = multipliers.hand_over * (given.input_scale / OBJECTIVE_SCALE)
+    return Judged(given, effect.command / given.input_scale, by_row, by_rule)
 
 
 def _units(problem: TransientProblem, given: Stages) -> FloatArray:
@@ -104,15 +108,17 @@ def _units(problem: TransientProblem, given: Stages) -> FloatArray:
 
 def _certificate(effect: Effect, multipliers: Multipliers, given: Stages, found: Proof) -> Certificate | None:
     """The certificate from the compiled call's result; None where a number is not finite."""
-    problem, unit, units = effect.problem, given.input_scale, _units(effect.problem, given)
-    hot = list(boxes_of(effect, multipliers, only=TemperatureLimit.name))
-    if not np.isfinite([*found[1:6], *found.excess, *(box.value.max() for box in hot)]).all():
+    problem, unit, thermal = effect.problem, given.input_scale, effect.problem.thermal
+    excess = (found.excess * _units(problem, given)).tolist()
+    outside = [(limit, off) for (limit, _), off in zip(problem.rows(), excess, strict=True)]
+    if thermal is not None:
+        outside.append((thermal, float((effect.winding_C - thermal.bounds_C).max())))
+        excess.append(float(effect.winding_C.max()))
+    if not np.isfinite([*found[1:6], *excess]).all():
         return None
     merit = found.objective * OBJECTIVE_SCALE
     reward = problem.tracking.reward(effect.accelerations_m_s2) if problem.intensity > 0 else 0.0
-    outside = [(limit, off) for (limit, _), off in zip(problem.rows(), (found.excess * units).tolist(), strict=True)]
-    outside += [(box.limit, float(box.excess.max())) for box in hot]
-    violations, excess = left_over(problem, outside, found.residual * unit)
+    violations, relative = left_over(problem, outside, found.residual * unit)
     gap = (found.by_command + found.slack) * OBJECTIVE_SCALE
     if gap > Certificate.GAP_TOLERANCE * max(merit + reward, OBJECTIVE_SCALE) and problem.movement.weight > 0:
         gap = float(np.fmin(gap, (found.by_movement + found.slack) * OBJECTIVE_SCALE))
@@ -120,7 +126,7 @@ def _certificate(effect: Effect, multipliers: Multipliers, given: Stages, found:
         objective=merit + reward,
         merit=merit,
         violations=violations,
-        excess=excess,
+        excess=relative,
         dual_residual=found.dual_residual * OBJECTIVE_SCALE / unit,
         duality_gap=gap,
         lower_bound=merit - gap,

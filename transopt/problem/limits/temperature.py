@@ -7,7 +7,7 @@ linear in the outputs, and a problem with this limit is not a quadratic program.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -116,6 +116,11 @@ class TemperatureLimit(Limit):
     @property
     def replay_tolerance(self) -> float:
         return BETWEEN_INSTANTS_K
+
+    @cached_property
+    def bounds_C(self) -> FloatArray:
+        """(N,) highest permitted winding temperature at tau_1 to tau_N, infinite where there is no limit."""
+        return np.asarray(self.model.headroom_K + self.model.unpowered_C)
 
     def temperatures_C(self, current_A: FloatArray, command: FloatArray) -> FloatArray:
         """(N,) winding temperature at tau_1 to tau_N."""
