@@ -18,6 +18,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from transopt.base.signals import FloatArray  # it imports this module for its spline
 
 CHUNK = 128  # stages in one band matrix, reused for a constant A
@@ -51,7 +53,7 @@ def _library() -> ct.CDLL | None:
     return library
 
 
-def address(array: FloatArray) -> int:
+def address(array: FloatArray | NDArray[np.void]) -> int:
     """Address of the first element of a contiguous array, for a call in C."""
     found: int = array.__array_interface__["data"][0]  # takes half the time of `array.ctypes.data`
     return found

@@ -82,11 +82,11 @@ def _again(
     """Solve the entries for their corrected targets, with unchanged limits and prices."""
     found = {}
     for ig in sorted({ig for _, ig in corrections_m_s2}):
-        stage, speeds = library.stage(ig), [iv for iv, g in sorted(corrections_m_s2) if g == ig]
+        devices, speeds = library.devices(ig), [iv for iv, g in sorted(corrections_m_s2) if g == ig]
         posed = []
         for iv in speeds:
             told = library.told(iv, ig)
-            problem = replace(library.problem(iv, ig, stage), target=told.moved(corrections_m_s2[iv, ig]))
+            problem = replace(library.problem(iv, ig, devices), target=told.moved(corrections_m_s2[iv, ig]))
             grip, steady = float(library.grips_N[ig]), library.steady_input
             posed.append(Posed(problem, grip_N=grip, coil=library.coil(), steady_input=steady, told=told))
         for iv, entry in zip(speeds, design(posed, options=options), strict=True):

@@ -174,9 +174,9 @@ def answers_of(library: Library, ig: int, prove: Prove, unlimited: Free) -> list
     prove : computes the certificates of commands and their multipliers in linear problems.
     unlimited : computes each problem's optimum (N,) without limits; None where it cannot.
     """
-    stage, rows = library.stage(ig), range(library.speeds_m_s.size)
+    devices, rows = library.devices(ig), range(library.speeds_m_s.size)
     plant = library.scene().nonlinear_plant() if library.nonlinear else None
-    problems = [library.problem(iv, ig, stage) for iv in rows]
+    problems = [library.problem(iv, ig, devices) for iv in rows]
     frees = _free_commands(problems, unlimited)
     if plant is not None:
         return [

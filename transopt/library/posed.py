@@ -1,6 +1,6 @@
 """The problems that a library file states, by its scene and arrays: devices, limits, targets, nominal motions."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -182,22 +182,30 @@ class Posed(Held):
             found.append(self.posing().stage(plant))
         return tuple(found)
 
-    def problem(self, iv: int, ig: int, stage: StageModel | None = None) -> TransientProblem:
+    def devices(self, ig: int) -> tuple[StageModel, ...]:
+        """The device of one grip, then those of the spread."""
+        return (self.stage(ig), *self.spread(ig))
+
+    def problem(self, iv: int, ig: int, devices: Sequence[StageModel] | None = None) -> TransientProblem:
         """The problem that entry (iv, ig) claims to solve; the entry's own motion determines where a wall presses.
 
         For a nonlinear plant this is the problem of the plant at rest; `transopt.library.nonlinear.nonlinear_problem`
         puts its limits and objective on the nonlinear plant.
+
+        Parameters
+        ----------
+        devices : `devices` of the grip, if the caller reads several of its entries, which then share all that is
+            computed from them.
         """
-        wanted = self.wanted_of(iv, ig)
-        wanted = replace(wanted, target=self.told(iv, ig).moved(self.correction_m_s2[iv, ig]))
-        stage = self.stage(ig) if stage is None else stage
-        problem = self.posing().problem(wanted, stage, self.spread(ig))
-        problem = replace(
-            problem,
-            intensity=float(self.intensity[iv, ig]),
-            heat_price=float(self.heat_price[iv, ig]),
-            shares=self._shares(iv, ig) if self.posing().worst else problem.shares,
-        )
+        posing, wanted, correction = self.posing(), self.wanted_of(iv, ig), self.correction_m_s2[iv, ig]
+        if correction.any():
+            wanted = replace(wanted, target=wanted.target.moved(correction))
+        stage, *spread = self.devices(ig) if devices is None else devices
+        problem = posing.problem(wanted, stage, tuple(spread))
+        prices = float(self.intensity[iv, ig]), float(self.heat_price[iv, ig])
+        if posing.worst or prices != (problem.intensity, problem.heat_price):
+            shares = self._shares(iv, ig) if posing.worst else problem.shares
+            problem = replace(problem, intensity=prices[0], heat_price=prices[1], shares=shares)
         problem = problem.within(self.parts(iv, ig))
         if problem.wall is None:
             return problem

@@ -226,12 +226,12 @@ def departures(
         by_replay = replayed and array.replayed
         if array.made is None or not (by_replay or name in WITHIN):
             continue
-        stored, value = getattr(library, name)[iv, ig], np.asarray(array.made(again))
+        stored, value = getattr(library, name)[iv, ig], array.made(again)
         within = REPLAYED * _peak(value) + ROUNDING if by_replay else WITHIN[name](again, value)
         off = _peak(stored - value)
         if off <= within or np.array_equal(stored, value, equal_nan=True):
             continue
-        if value.ndim:
+        if isinstance(value, np.ndarray):
             yield f"{name} is off by {off:.3g}"
         elif not (name in MAY_BE_UNKNOWN and np.isnan(off)):
             yield f"{name} says {stored:.8g}, recomputed {value:.8g}"

@@ -209,6 +209,8 @@ class TransientProblem:
             if isinstance(limit, OutputLimit) and limit.name in parts:
                 limits = limits.replaced(limit.within(self, parts[limit.name]))
                 instants[limit.output] = limit.shares(parts[limit.name])
+        if limits is self.limits:
+            return self
         stage, *spread = (device.within(instants) for device in self.devices)
         return replace(self._under(limits), stage=stage, spread=tuple(spread))
 

@@ -141,7 +141,9 @@ def largest_reached(
     return found
 
 
-def _reached(runs: Sequence[Trajectory], limit: Limit, commands: list[int], posed: "_Posed") -> list[list[float]]:
+def _reached(
+    runs: Sequence[Trajectory], limit: Limit, commands: list[int], posed: "_Posed"
+) -> list[tuple[float, float]]:
     """For each of these commands the largest absolute value that a limit bounds, in all and up to tau_(N-1)."""
     run, grid = runs[0], posed.grid
     instants = np.append(grid.switching_times_s, grid.end_s)
@@ -159,7 +161,7 @@ def _reached(runs: Sequence[Trajectory], limit: Limit, commands: list[int], pose
         values = replace(row, offset=offset).value(_motion(runs[row.device], taps, at), run.felt[taps, at])
         early = np.maximum(early, _largest(values[:, : over - at.start]))
         whole = np.maximum(whole, _largest(values[:, over - at.start :]))
-    return np.stack([np.maximum(whole, early), early], axis=1).tolist()
+    return list(zip(np.maximum(whole, early).tolist(), early.tolist(), strict=True))
 
 
 def _motion(run: Trajectory, taps: slice | list[int], at: slice) -> Motion:
@@ -175,7 +177,7 @@ def _motion(run: Trajectory, taps: slice | list[int], at: slice) -> Motion:
 
 def _largest(values: FloatArray) -> FloatArray:
     """(M,) largest absolute values of M courses (M, K)."""
-    return np.maximum(values.max(axis=1, initial=0.0), -values.min(axis=1, initial=0.0))
+    return np.asarray(np.maximum(values.max(axis=1, initial=0.0), -values.min(axis=1, initial=0.0)))
 
 
 def alike(limits: Sequence[Limits]) -> list[tuple[Limit, list[int]]]:

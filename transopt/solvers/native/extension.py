@@ -184,9 +184,8 @@ def _answers(method: Any, given: Sequence[Stages], asked: _Options) -> list[Answ
         space = _workspace(count, problems)
         method(count, address(problems), ct.byref(asked), address(space), address(results))
         lower, upper = sides[..., : (N + 1) * rows].reshape(2, count, N + 1, rows)
-        told = (results[name].tolist() for name in ("code", "iterations", "objective", "gap", "residual"))
-        for j, (i, numbers) in enumerate(zip(group, zip(*told, strict=True), strict=True)):
-            found[i] = Answer(*numbers, command[j], gradient[j], lower[j], upper[j])
+        numbers = (results[name].tolist() for name in ("code", "iterations", "objective", "gap", "residual"))
+        found |= dict(zip(group, map(Answer, *numbers, command, gradient, lower, upper), strict=True))
     return [found[i] for i in range(len(given))]
 
 
