@@ -8,6 +8,7 @@ from transopt.design.context import Posed
 from transopt.design.cool import at_share_of_heat
 from transopt.design.entry import Entry
 from transopt.design.intensity import best
+from transopt.problem.objective.tracking import filter_together
 from transopt.proof.designed import Designed
 from transopt.solvers.options import SolverOptions
 from transopt.solvers.side_by_side import Search, together
@@ -40,6 +41,7 @@ def design(
     The entries in the order of the problems.
     """
     options = SolverOptions() if options is None else options
+    filter_together([posed.problem.tracking for posed in problems])
     found = together([_solved(posed, options, failed) for posed in problems])
     solved = {number: designed for number, designed in enumerate(found) if designed is not None}
     entries: dict[int, Entry] = {}

@@ -113,7 +113,7 @@ class Entry(Answered):
             (problem, ("rest",)),
             (problem.tracking, ("wanted", "weights", "unit_wanted", "solved_weights", "solved_wanted")),
             (problem.target, ("whole_m_s2", "free_m_s2", "recorded_m_s2", "continued_m_s2")),
-            (effect, ("continued", "mean_square_A2", "rise_K")),
+            (effect, ("continued", "mean_square_A2", "rise_K", "winding_C", "values")),
         ):
             for course in courses:
                 vars(of).pop(course, None)

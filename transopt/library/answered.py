@@ -13,6 +13,7 @@ from transopt.plant.nonlinear import NonlinearCoil
 from transopt.problem.answer import Certificate, Multipliers, Solution, Status
 from transopt.problem.objective.figures import Figures
 from transopt.problem.objective.target import Target
+from transopt.problem.objective.tracking import filter_together
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import Effect, binding_limits, certify, effects
 from transopt.proof.designed import Designed
@@ -177,6 +178,7 @@ def answers_of(library: Library, ig: int, prove: Prove, unlimited: Free) -> list
     devices, rows = library.devices(ig), range(library.speeds_m_s.size)
     plant = library.scene().nonlinear_plant() if library.nonlinear else None
     problems = [library.problem(iv, ig, devices) for iv in rows]
+    filter_together([problem.tracking for problem in problems])
     frees = _free_commands(problems, unlimited)
     if plant is not None:
         return [

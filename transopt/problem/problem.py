@@ -353,9 +353,12 @@ class TransientProblem:
         return self.feedback.command(motion)
 
     def transient_command(self, command: FloatArray) -> FloatArray:
-        """(N,) total command minus the wall's predicted feedback: the transient that is played (seed Eq. 9)."""
+        """(N,) total command minus the wall's predicted feedback: the transient that is played (seed Eq. 9).
+
+        Without a wall it is the command itself.
+        """
         if self.wall is None:
-            return command.copy()
+            return command
         dt = self.grid.dt_s
         course = self.feedback.course(self.stage.motion(command))
         transient = command - feedback_command(self.wall.feedback(course, dt), self.stage.amplifier, dt)

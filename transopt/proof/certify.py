@@ -90,7 +90,6 @@ class Effect:
 
     def __init__(self, problem: TransientProblem, command: FloatArray, motion: Motion | None = None) -> None:
         self.problem, self.command = problem, command
-        self._values: dict[str, FloatArray] = {}
         if motion is not None:
             self.motion = motion
 
@@ -129,9 +128,14 @@ class Effect:
 
     def value(self, row: Row) -> FloatArray:
         """(N,) value of a row of the problem's limits."""
-        if row.name not in self._values:
-            self._values[row.name] = row.value(self.motion_of(row.device), self.command)
-        return self._values[row.name]
+        if row.name not in self.values:
+            self.values[row.name] = row.value(self.motion_of(row.device), self.command)
+        return self.values[row.name]
+
+    @cached_property
+    def values(self) -> dict[str, FloatArray]:
+        """Values (N,) of rows by name, as far as they have been computed."""
+        return {}
 
     def motion_of(self, device: int) -> Motion:
         """(N,) motion of a device within the window; 0 is the problem's own."""

@@ -237,7 +237,6 @@ class Period:
         and the two commands that act in them (n + 2 outputs); the issued commands begin with zeros before the first.
     to_middle : (n, n + 2) map of these outputs to the states at the start of the second segment.
     to_samples : (2 + 1 + further, n + 2, K) map of them to the K samples of a period, for every row of the flow.
-    times_s : (periods, K) times of the samples.
     late : ticks by which the second segment's command was issued after the first's.
     arriving : index of the segment in which a tick's own command begins to act.
     periods : number of simulated periods, until `after_s` after tau_N.
@@ -248,7 +247,6 @@ class Period:
     played: LinearSystem
     to_middle: FloatArray
     to_samples: FloatArray
-    times_s: FloatArray
     late: int
     arriving: int
     periods: int
@@ -266,13 +264,11 @@ class Period:
         acting[n, 0] = acting[n + 1, late] = 1.0
         to_middle = np.hstack([first.P[-1], first.Q[-1], np.zeros((n, 1))])
         periods = grid.stages + first.behind + int(np.ceil(after_s(grid) / grid.dt_s))
-        ticks = grid.dt_s * np.arange(periods) - grid.lead_s
         return cls(
             segments,
             LinearSystem(second.P[-1] @ first.P[-1], by_command, np.eye(n + 2, n), acting),
             to_middle,
             _to_samples(flow, segments, to_middle),
-            ticks[:, None] + np.concatenate([first.offsets_s, second.offsets_s]),
             late,
             # If the delay is a whole number of periods, a command begins to act at a tick, else within the period.
             arriving=0 if late == 0 else 1,
@@ -358,7 +354,7 @@ def _play(
             issued[:, behind + k] += feedback.step(loop.read(k, x @ flow.encoder))
             x = x @ step.A.T + issued[:, k : k + 1 + late] @ step.B.T
     felt = np.stack([issued[:, by : by + periods] for by in range(1 + late)], axis=1)
-    return Course(period, period.played.outputs(felt), issued[:, behind : behind + N])
+    return Course(period, period.played.outputs(felt), commands if loop is None else issued[:, behind : behind + N])
 
 
 def after_s(grid: TimeGrid) -> float:
@@ -380,9 +376,10 @@ def fine(course: Course, flow: Flow, grid: TimeGrid, *, moving: bool = True) -> 
         values = [(given @ to_samples).reshape(M, -1) for to_samples in period.to_samples[: None if moving else 2]]
     acceleration, current, *others = values
     velocity, *further = others or [np.empty((M, 0))]
-    starts = samples * np.arange(2 * periods)
+    starts, ticks = samples * np.arange(2 * periods), grid.dt_s * np.arange(periods) - grid.lead_s
+    offsets = np.concatenate([segment.offsets_s for segment in period.segments])
     return Trajectory(
-        times_s=period.times_s.ravel(),
+        times_s=(ticks[:, None] + offsets).ravel(),
         acceleration_m_s2=acceleration,
         plant_input=current,
         felt=np.repeat(given[..., columns - 2 :], samples, axis=2).reshape(M, -1),

@@ -205,3 +205,15 @@ class Tracking:
         squares = self.unit_wanted[-1, : self.target.window_m_s2.size] ** 2
         turned = float(squares @ (self.weights[-1, self._window] / self.solved_weights[-1]))
         return lost + self.intensity * (self.level * float(np.sum(squares)) - turned)
+
+
+def filter_together(costs: Sequence[Tracking]) -> None:
+    """Filter the targets of costs with the same terms in one pass; each then has its part cached."""
+    groups: dict[tuple[object, ...], list[Tracking]] = {}
+    for each in costs:
+        groups.setdefault((id(each.terms), each.target.lost, each.target.whole_m_s2.shape), []).append(each)
+    for group in groups.values():
+        whole = np.stack([each.target.whole_m_s2 for each in group])
+        by_target = np.stack([term.filtered(whole) for term in group[0].terms], axis=1)
+        for each, wanted in zip(group, by_target, strict=True):
+            vars(each).update(wanted=wanted, weights=group[0].weights)
