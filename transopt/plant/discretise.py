@@ -6,11 +6,12 @@ switching instants, so a delay only shifts the time axis and needs no state. Bet
 current is monotonic: a bound on i(tau_k) bounds |i(t)| for all t, which a bound at the ticks would not.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
-from typing import Any
+from operator import is_
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.state_space import StateSpace
 
+T = TypeVar("T")
 DELAY_ROUNDING = 1e-6  # tolerance in servo periods within which a delay counts as a whole number of them
 PEAK_PERIOD = 20  # stages in half a period of the square wave that scales the states
 PERIOD = " the period"  # suffix of the names of outputs that depend on the command c_k at stage k
@@ -360,6 +362,19 @@ class StageModel:
     def derived(self) -> dict[Any, Any]:
         """Cache of results that other packages derive from this model, each under its own key."""
         return {}
+
+    def kept(self, kind: object, same: tuple[object, ...], equal: object, make: Callable[[], T]) -> T:
+        """The value of a kind that `make` computes from this model; the latest one is cached in `derived`.
+
+        Parameters
+        ----------
+        same, equal : what the value depends on besides the model: objects of which no copy serves, and others.
+        """
+        found = self.derived.get(kind)
+        if not (found and len(found[0]) == len(same) and all(map(is_, found[0], same)) and found[1] == equal):
+            found = self.derived[kind] = same, equal, make()
+        value: T = found[2]
+        return value
 
     def extended(self) -> "StageModel":
         """Stage model in extended precision (64 bits of mantissa where the machine has them, else unchanged)."""

@@ -6,7 +6,6 @@ its movement dc the input. A plant with m motors has m currents and, at the end,
 error filters for each of them.
 """
 
-import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +15,6 @@ from numpy.typing import NDArray
 
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import StageModel, state_scale
-from transopt.plant.wall import Wall
 from transopt.problem.limits.limit import COMMAND, HELD, INPUT, VELOCITY, Row
 from transopt.problem.objective.weighting import ErrorFilter
 from transopt.problem.problem import TransientProblem
@@ -229,38 +227,9 @@ class LinearStage:
         )
 
 
-@dataclass(frozen=True)
-class _Shared:
-    """A cached linear stage, both scales 1, and its cache key: devices, filters, wall and horizon."""
-
-    devices: tuple[StageModel, ...]
-    filters: tuple[ErrorFilter | None, ...]
-    priced: bool
-    wall: Wall | None
-    stages: int
-    linear: LinearStage
-
-    def serves(self, problem: TransientProblem) -> bool:
-        """Whether the cached stage is that of this problem."""
-        devices = problem.devices
-        return (
-            len(devices) == len(self.devices)
-            and all(map(operator.is_, devices, self.devices))
-            and all(map(operator.is_, _filters(problem), self.filters))
-            and len(problem.terms) == len(self.filters)
-            and (problem.heat_price > 0) is self.priced
-            and _law(problem) == self.wall
-            and problem.grid.stages == self.stages
-        )
-
-
 def _filters(problem: TransientProblem) -> tuple[ErrorFilter | None, ...]:
     """The filter of every term."""
     return tuple(term.error_filter for term in problem.terms)
-
-
-def _law(problem: TransientProblem) -> Wall | None:
-    return None if problem.wall is None else problem.wall.wall
 
 
 def _dynamics(problem: TransientProblem, where: Layout) -> FloatArray:
@@ -347,15 +316,19 @@ def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> L
     """
     if not physical_scale:
         return _linear(problem, problem.input_scale, physical_scale=False)
-    derived = problem.stage.derived
-    shared = derived.get(_Shared)
-    if not (isinstance(shared, _Shared) and shared.serves(problem)):
+    return _in_unit_scales(problem).scaled(problem.input_scale, _unit_m_s2(problem))
+
+
+def _in_unit_scales(problem: TransientProblem) -> LinearStage:
+    """The linear stage with both scales 1, which depends on devices, filters, wall and horizon alone."""
+
+    def made() -> LinearStage:
         found = _linear(problem, 1.0, physical_scale=True)
         found.A.flags.writeable = False  # all problems share this array
-        priced = problem.heat_price > 0
-        shared = _Shared(problem.devices, _filters(problem), priced, _law(problem), problem.grid.stages, found)
-        derived[_Shared] = shared
-    return shared.linear.scaled(problem.input_scale, _unit_m_s2(problem))
+        return found
+
+    own = problem.heat_price > 0, None if problem.wall is None else problem.wall.wall, problem.grid.stages
+    return problem.stage.kept(LinearStage, (*problem.devices, *_filters(problem)), own, made)
 
 
 def _linear(problem: TransientProblem, current: float, *, physical_scale: bool) -> LinearStage:
@@ -418,11 +391,10 @@ def units_m_s2(problems: Sequence[TransientProblem]) -> FloatArray:
 
 def outputs_of(problems: Sequence[TransientProblem]) -> tuple[FloatArray, FloatArray]:
     """(P, outputs, n) C and (P, outputs, m) E of the linear stages of problems that differ only in the target."""
-    stage = linear_stage(problems[0])
-    shared: _Shared = problems[0].stage.derived[_Shared]
+    stage = _in_unit_scales(problems[0])
     by = np.ones((len(problems), stage.C.shape[0], 1))
-    by[:, : stage.errors] = (stage.input_scale / units_m_s2(problems))[:, None, None]
-    return shared.linear.C * by, shared.linear.E * by
+    by[:, : stage.errors] = (problems[0].input_scale / units_m_s2(problems))[:, None, None]
+    return stage.C * by, stage.E * by
 
 
 def _named(

@@ -297,16 +297,15 @@ def admissible(problem: TransientProblem, multipliers: Multipliers) -> Multiplie
     )
 
 
-def kink_gap(problem: TransientProblem, command: FloatArray, motion: Motion, multipliers: Multipliers) -> float:
+def kink_gap(effect: Effect, multipliers: Multipliers, by_heating: FloatArray) -> float:
     """Gap of the Lagrangian by the kink of |mean i|: how far the tangent with the stated slope lies below it.
 
     It is zero where the slope is the sign of the mean.
+
+    Parameters
+    ----------
+    by_heating : `Effect.by_heating` of the multipliers.
     """
-    effect = Effect(problem, command, motion)
-    return _kink_gap(effect, multipliers, effect.by_heating(multipliers))
-
-
-def _kink_gap(effect: Effect, multipliers: Multipliers, by_heating: FloatArray) -> float:
     thermal = effect.problem.thermal
     if thermal is None or not by_heating.any():
         return 0.0
@@ -384,7 +383,7 @@ def certify(
         g = _reduced_gradient(effect, clipped, by_heating)
         c_max = problem.command_bound
         rest = sum(box.complementarity for box in limits) + float(np.vdot(np.abs(clipped.hand_over), np.abs(tail)))
-        rest += _kink_gap(effect, clipped, by_heating)
+        rest += kink_gap(effect, clipped, by_heating)
         if problem.worst:
             # The mean by the shares bounds the worst device's loss from below, and `merit` is that loss.
             rest += problem.tracking.above_mean(effect.accelerations_m_s2)

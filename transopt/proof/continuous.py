@@ -419,23 +419,6 @@ class Accurate:
         )
 
 
-def _flow(stage: StageModel) -> Flow:
-    """The flow of a device, cached in its stage model."""
-    if Flow not in stage.derived:
-        stage.derived[Flow] = Flow.of(stage)
-    flow: Flow = stage.derived[Flow]
-    return flow
-
-
-def _period(stage: StageModel, grid: TimeGrid, halvings: int) -> Period:
-    """The period of a device, cached in its stage model."""
-    key = Period, grid, halvings
-    if key not in stage.derived:
-        stage.derived[key] = Period.of(_flow(stage), grid, halvings)
-    period: Period = stage.derived[key]
-    return period
-
-
 def accurate(stage: StageModel, grid: TimeGrid, commands: FloatArray, loop: Loop | None) -> Accurate:
     """Play commands (M, N) [A], halving the step until halving changes y'' by at most `STEP_ERROR`.
 
@@ -445,11 +428,15 @@ def accurate(stage: StageModel, grid: TimeGrid, commands: FloatArray, loop: Loop
     ----------
     loop : the walls whose feedback is added to the commands; None without a wall.
     """
-    flow = _flow(stage)
-    coarse = _play(stage, flow, grid, commands, _period(stage, grid, 0), loop).accelerations(flow)
+    flow = stage.kept(Flow, (), None, lambda: Flow.of(stage))
+
+    def played(halvings: int) -> Course:
+        period = stage.kept((Period, halvings), (), grid, lambda: Period.of(flow, grid, halvings))
+        return _play(stage, flow, grid, commands, period, loop)
+
+    coarse = played(0).accelerations(flow)
     for halvings in range(1, MOST_HALVINGS + 1):
-        period = _period(stage, grid, halvings)
-        course = _play(stage, flow, grid, commands, period, loop)
+        course = played(halvings)
         found = course.accelerations(flow)
         difference, peak = np.abs(found - coarse).max(axis=1), np.abs(found).max(axis=1)
         step_error = difference / peak_scale(peak, 0.0)

@@ -8,7 +8,7 @@ from transopt.base.signals import FloatArray
 from transopt.problem.answer import Multipliers
 from transopt.problem.limits import hand_over
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import TEMPERATURE, Effect, admissible, boxes, kink_gap, reduced_gradient
+from transopt.proof.certify import TEMPERATURE, Effect, admissible, boxes_of, kink_gap, reduced_gradient
 
 MARGIN = 1e-9  # of the sum of the terms' absolute values, 1e5 times its rounding error
 
@@ -43,17 +43,16 @@ def is_infeasible(problem: TransientProblem, command: FloatArray, multipliers: M
     if thermal is not None and thermal.model.copper != 0 and ray.upper(TEMPERATURE).any():
         return False
     effect = Effect(problem, command)
-    motion = effect.motion
     total = size = 0.0
-    for box in boxes(problem, command, motion, ray):
+    for box in boxes_of(effect, ray):
         for mu, value, bound in ((box.by_upper, box.value, box.upper), (box.by_lower, -box.value, -box.lower)):
             stated = np.isfinite(bound)
             total += float(mu[stated] @ (value[stated] - bound[stated]))
             size += float(mu[stated] @ (np.abs(value[stated]) + np.abs(bound[stated])))
-    tail = hand_over.residual(problem, command, motion)
+    tail = hand_over.residual(problem, command, effect.motion)
     total += float(np.vdot(ray.hand_over, tail))
     g = reduced_gradient(effect, ray, of_limits_alone=True)
     loss = float(np.vdot(np.abs(g), problem.command_bound + np.abs(command)))
-    loss += kink_gap(problem, command, motion, ray)
+    loss += kink_gap(effect, ray, effect.by_heating(ray))
     # The comparison is false for NaN. The rounding error of the gradient is included in `loss`.
     return bool(total - loss > MARGIN * (size + float(np.vdot(np.abs(ray.hand_over), np.abs(tail)))))

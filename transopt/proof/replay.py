@@ -135,14 +135,14 @@ def largest_reached(
     """
     found: list[tuple[dict[str, float], dict[str, float]]] = [({}, {}) for _ in limits]
     for limit, commands in alike(limits):
-        reached = _reached(runs, limit, commands, _Posed(devices, grid, limits[commands[0]]))
+        reached = _reached(runs, limit, commands, Played(devices, grid, limits[commands[0]]))
         for m, (whole, early) in zip(commands, reached, strict=True):
             found[m][0][limit.name], found[m][1][limit.name] = whole, early
     return found
 
 
 def _reached(
-    runs: Sequence[Trajectory], limit: Limit, commands: list[int], posed: "_Posed"
+    runs: Sequence[Trajectory], limit: Limit, commands: list[int], posed: "Played"
 ) -> list[tuple[float, float]]:
     """For each of these commands the largest absolute value that a limit bounds, in all and up to tau_(N-1)."""
     run, grid = runs[0], posed.grid
@@ -190,7 +190,7 @@ def alike(limits: Sequence[Limits]) -> list[tuple[Limit, list[int]]]:
 
 
 @dataclass(frozen=True)
-class _Posed:
+class Played:
     """The part of a problem that limits read to state their rows."""
 
     devices: tuple[StageModel, ...]
@@ -202,7 +202,7 @@ class _Posed:
         return self.devices[0]
 
 
-def _moves(limit: Limit, posed: _Posed) -> bool:
+def _moves(limit: Limit, posed: Played) -> bool:
     """Whether a limit depends on anything but input and command."""
     return any(not row.linear or set(row.outputs) - {INPUT, COMMAND} for row in limit.watched(posed))
 
@@ -288,7 +288,7 @@ def replay(
     found, course = simulated, simulated.course
     devices = stage, *spread
     moving = limits is not None and any(
-        _moves(limit, _Posed(devices, grid, limits[at[0]])) for limit, at in alike(limits)
+        _moves(limit, Played(devices, grid, limits[at[0]])) for limit, at in alike(limits)
     )
     run, command = fine(course, found.flow, grid, moving=moving), course.command
     rounding = course.rounding(found.flow)

@@ -18,7 +18,7 @@ from transopt.plant.state_space import StateSpace
 from transopt.problem.limits.limit import Limits
 from transopt.problem.problem import TransientProblem
 from transopt.proof.continuous import accurate, fine, peak_scale
-from transopt.proof.replay import Replay
+from transopt.proof.replay import Played, Replay
 
 
 @dataclass(frozen=True)
@@ -122,24 +122,11 @@ def _alone(stage: StageModel, direction: int, motor: int) -> StageModel:
     return found
 
 
-@dataclass(frozen=True)
-class _Posed:
-    """The part of a problem that limits read to state their rows."""
-
-    stage: StageModel
-    grid: TimeGrid
-    limits: Limits
-
-    @property
-    def devices(self) -> tuple[StageModel, ...]:
-        return (self.stage,)
-
-
 def _reached(
     limits: Limits, stage: StageModel, grid: TimeGrid, inputs: FloatArray, felt: FloatArray
 ) -> dict[str, float]:
     """Name of a limit -> largest absolute value over all t, that of each motor divided by its share of the limit."""
-    posed, nothing = _Posed(stage, grid, limits), np.zeros(felt.shape[-1])
+    posed, nothing = Played((stage,), grid, limits), np.zeros(felt.shape[-1])
     motion = Motion(nothing, inputs, np.zeros_like(inputs), nothing)
     return {
         limit.name: max(

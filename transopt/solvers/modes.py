@@ -21,13 +21,11 @@ class Modes:
 
     Attributes
     ----------
-    of : A of the linear stage; its identity is the cache key.
     T : (n, n); the identity where the modes are ill conditioned.
     A : (n, n) dynamics of z: complex modes in pairs, then the real ones, all driven by the held command (last state).
     current : index of the mode that is the current; -1 without an amplifier.
     """
 
-    of: FloatArray
     T: FloatArray
     A: FloatArray
     current: int
@@ -35,16 +33,13 @@ class Modes:
 
 def modes_of(problem: TransientProblem, stage: LinearStage) -> Modes:
     """The modes of a linear stage, cached with the device."""
-    derived = problem.stage.derived
-    found = derived.get(Modes)
-    if not (isinstance(found, Modes) and found.of is stage.A):
-        where = layout(problem)
-        found = derived[Modes] = _of_dynamics(stage.A, where.current if where.amplifier else -1)
-    return found
+    where = layout(problem)
+    current = where.current if where.amplifier else -1
+    return problem.stage.kept(Modes, (stage.A,), current, lambda: _of_dynamics(stage.A, current))
 
 
 def _of_dynamics(A: FloatArray, current: int) -> Modes:
-    n, dense = A.shape[0], Modes(A, np.eye(A.shape[0]), A, current)
+    n, dense = A.shape[0], Modes(np.eye(A.shape[0]), A, current)
     if not np.isfinite(A).all():
         return dense  # from a damaged file; the certificate refuses the answer
     values, vectors = np.linalg.eig(A[:-1, :-1])
@@ -67,4 +62,4 @@ def _of_dynamics(A: FloatArray, current: int) -> Modes:
         T[current] = np.arange(n) == own
     if not np.linalg.cond(T) <= MOST_CONDITION:
         return dense
-    return Modes(A, T, np.where(pattern, np.linalg.solve(T, A @ T), 0.0), own if current >= 0 else -1)
+    return Modes(T, np.where(pattern, np.linalg.solve(T, A @ T), 0.0), own if current >= 0 else -1)

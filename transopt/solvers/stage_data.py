@@ -19,7 +19,6 @@ from transopt.problem.heat import mean_current
 from transopt.problem.limits import hand_over
 from transopt.problem.limits.limit import COMMAND, HELD, INPUT
 from transopt.problem.limits.temperature import TemperatureLimit
-from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.objective.tail import tail, tails
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import LinearStage, layout, linear_stage, outputs_of
@@ -333,15 +332,10 @@ class _Template:
 
     Attributes
     ----------
-    A, terms : A of the linear stage and error terms of the problem, part of the cache key. others : rest of the key;
-        None where a wall or a limit depends on the tap itself, so that the template serves no other problem.
     modes, limits, kelvin, sizes : as in `Stages`.
     numbers, arrays : those of `Stages` that do not depend on the target.
     """
 
-    A: FloatArray
-    terms: tuple[ErrorTerm, ...]
-    others: tuple[object, ...] | None
     modes: Modes
     limits: Rows
     kelvin: float
@@ -354,18 +348,13 @@ class _Template:
         """Addresses of the arrays, by name."""
         return {name: address(array) for name, array in self.arrays.items()}
 
-    def serves(self, A: FloatArray, terms: tuple[ErrorTerm, ...], others: tuple[object, ...] | None) -> bool:
-        return self.A is A and self.terms is terms and others is not None and self.others == others
-
 
 def _template(problem: TransientProblem, stage: LinearStage) -> _Template:
-    """The template of a problem, cached with the device."""
-    derived, others = problem.stage.derived, _others(problem)
-    found = derived.get(_Template)
-    if isinstance(found, _Template) and found.serves(stage.A, problem.terms, others):
-        return found
-    found = derived[_Template] = _template_of(problem, stage, others)
-    return found
+    """The template of a problem, cached with the device unless a wall or a limit depends on the tap itself."""
+    others = _others(problem)
+    if others is None:
+        return _template_of(problem, stage)
+    return problem.stage.kept(_Template, (stage.A, problem.terms), others, lambda: _template_of(problem, stage))
 
 
 def _others(problem: TransientProblem) -> tuple[object, ...] | None:
@@ -380,7 +369,7 @@ def _shared_by(problem: TransientProblem) -> tuple[object, ...] | None:
     return None if others is None else (*map(id, problem.devices), id(problem.terms), problem.grid, *others)
 
 
-def _template_of(problem: TransientProblem, stage: LinearStage, others: tuple[object, ...] | None) -> _Template:
+def _template_of(problem: TransientProblem, stage: LinearStage) -> _Template:
     where, modes, limits = layout(problem), modes_of(problem, stage), _rows(problem, stage)
     m = 0 if problem.thermal is None else problem.thermal.model.nodes
     gains, offsets = hand_over.rows(problem, stage)
@@ -400,9 +389,6 @@ def _template_of(problem: TransientProblem, stage: LinearStage, others: tuple[ob
         **{name: heat[name] for name in ("M", "b", "gain", "square", "F", "f")},
     }
     return _Template(
-        A=stage.A,
-        terms=problem.terms,
-        others=others,
         modes=modes,
         limits=limits,
         kelvin=kelvin(problem),

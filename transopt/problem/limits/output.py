@@ -185,11 +185,8 @@ def row_within(name: str, share: Fraction) -> str:
 
 def _bends(stage: StageModel, output: str, stages: int, ends: tuple[Fraction, ...]) -> FloatArray:
     """`OutputLimit.bends` of one device, cached in the stage model for the other entries of its grip."""
-    key = ("bends", output, stages, ends)
-    if key not in stage.derived:
-        stage.derived[key] = _bends_of(stage, output, stages, ends)
-    bends: FloatArray = stage.derived[key]
-    return bends
+    kind = "bends", output, stages, ends
+    return stage.kept(kind, (), None, lambda: _bends_of(stage, output, stages, ends))
 
 
 def _bends_of(stage: StageModel, output: str, stages: int, ends: tuple[Fraction, ...]) -> FloatArray:

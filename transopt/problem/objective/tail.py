@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import powers
 from transopt.problem.limits import hand_over
-from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import LinearStage, units_m_s2
 
@@ -42,24 +41,15 @@ class _Free:
 
     Attributes
     ----------
-    A, terms, shared : those of the linear stage and the problem; they are the cache key.
     counting : indices of the outputs with a weight in the tail, among those of all devices and terms.
     roots : (M counting,) square roots of the weights.
     Q, R : factors of the weighted outputs Q R x_N, one row per instant and output.
     """
 
-    A: FloatArray
-    terms: tuple[ErrorTerm, ...]
-    shared: FloatArray
     counting: NDArray[np.intp]
     roots: FloatArray
     Q: FloatArray
     R: FloatArray
-
-    def serves(self, problem: TransientProblem, stage: LinearStage) -> bool:
-        """Whether these factors are valid for this problem."""
-        alike = self.A is stage.A and self.terms is problem.terms and np.array_equal(self.shared, problem.shared)
-        return alike and self.roots.size == self.counting.size * problem.grid.after_stages
 
 
 def tail(problem: TransientProblem, stage: LinearStage) -> Tail:
@@ -96,10 +86,12 @@ def tails(problems: Sequence[TransientProblem], stage: LinearStage) -> list[Tail
 
 def _free(problem: TransientProblem, stage: LinearStage) -> _Free:
     """The factors of the free motion, cached in the stage model because all taps of one grip share them."""
-    derived, M = problem.stage.derived, problem.grid.after_stages
-    found = derived.get(_Free)
-    if isinstance(found, _Free) and found.serves(problem, stage):
-        return found
+    own = problem.grid.after_stages, tuple(problem.shared.tolist())
+    return problem.stage.kept(_Free, (stage.A, problem.terms), own, lambda: _free_of(problem, stage))
+
+
+def _free_of(problem: TransientProblem, stage: LinearStage) -> _Free:
+    M = problem.grid.after_stages
     # Roots of the weights of every output (device, term), repeated for the M instants.
     after = np.sqrt([term.after for term in problem.terms])
     counting = np.flatnonzero(np.tile(after, problem.shared.size) > 0)
@@ -108,9 +100,7 @@ def _free(problem: TransientProblem, stage: LinearStage) -> _Free:
     if problem.wall is None:
         Q, R = np.linalg.qr(_fixed(stage, M, counting) * roots[:, None])
         R *= stage.unit_m_s2 / stage.input_scale
-    found = _Free(stage.A, problem.terms, problem.shared, counting, roots, Q, R)
-    derived[_Free] = found
-    return found
+    return _Free(counting, roots, Q, R)
 
 
 def _fixed(stage: LinearStage, M: int, counting: NDArray[np.intp]) -> FloatArray:

@@ -38,11 +38,7 @@ PROBLEM_FIELDS: list[tuple[str, Any]] = [
 ]
 
 
-class _Problem(ct.Structure):
-    _fields_ = PROBLEM_FIELDS
-
-
-PROBLEM = np.dtype(_Problem)
+PROBLEM = np.dtype([(name, np.dtype(kind)) for name, kind in PROBLEM_FIELDS], align=True)
 
 
 class _Host(ct.Structure):
@@ -53,20 +49,17 @@ class _Options(ct.Structure):
     _fields_ = (("max_iterations", ct.c_int), ("tolerance", ct.c_double), ("host", ct.POINTER(_Host)))
 
 
-class _Result(ct.Structure):
-    _fields_ = (
-        *[(name, DOUBLES) for name in ("command", "size", "lower", "upper", "gradient", "start")],
-        *[(name, ct.c_int) for name in ("code", "iterations")],
-        *[(name, ct.c_double) for name in ("objective", "gap", "residual")],
-    )
-
-
-class _Proof(ct.Structure):
-    _fields_ = (
-        *[(name, DOUBLES) for name in ("command", "by_lower", "by_upper", "by_rule", "lower", "upper", "excess")],
-        *[(name, ct.c_double) for name in ("objective", "slack", "residual")],
-        *[(name, ct.c_double) for name in ("dual_residual", "by_command", "by_movement")],
-    )
+ADDRESS, INTEGER, NUMBER = (np.dtype(kind) for kind in (DOUBLES, ct.c_int, ct.c_double))
+# `tr_result` and `tr_proof` of riccati.c.
+RESULT = [
+    *[(name, ADDRESS) for name in ("command", "size", "lower", "upper", "gradient", "start")],
+    *[(name, INTEGER) for name in ("code", "iterations")],
+    *[(name, NUMBER) for name in ("objective", "gap", "residual")],
+]
+PROOF = [
+    *[(name, ADDRESS) for name in ("command", "by_lower", "by_upper", "by_rule", "lower", "upper", "excess")],
+    *[(name, NUMBER) for name in ("objective", "slack", "residual", "dual_residual", "by_command", "by_movement")],
+]
 
 
 def _library() -> ct.CDLL | None:
@@ -152,10 +145,10 @@ def _stated(given: Sequence[Stages]) -> NDArray[np.void]:
     return found
 
 
-def _at(arrays: Mapping[str, FloatArray], kind: type[ct.Structure]) -> NDArray[np.void]:
+def _at(arrays: Mapping[str, FloatArray], fields: list[tuple[str, np.dtype[Any]]]) -> NDArray[np.void]:
     """An array of a C structure whose addresses are those of the rows of arrays, by the name of the field."""
     count = len(next(iter(arrays.values())))
-    found = np.zeros(count, dtype=np.dtype(kind))
+    found = np.zeros(count, dtype=np.dtype(fields, align=True))
     for name, array in arrays.items():
         found[name] = address(array) + array.strides[0] * np.arange(count)
     return found
@@ -180,7 +173,7 @@ def _answers(method: Any, given: Sequence[Stages], asked: _Options) -> list[Answ
         sides = np.zeros((2, count, (N + 1) * max(rows, 1)))
         start = np.zeros((count, max(nodes, 1)))
         arrays = {"command": command, "size": size, "gradient": gradient, "start": start}
-        problems, results = _stated(some), _at(arrays | {"lower": sides[0], "upper": sides[1]}, _Result)
+        problems, results = _stated(some), _at(arrays | {"lower": sides[0], "upper": sides[1]}, RESULT)
         space = _workspace(count, problems)
         method(count, address(problems), ct.byref(asked), address(space), address(results))
         lower, upper = sides[..., : (N + 1) * rows].reshape(2, count, N + 1, rows)
@@ -264,7 +257,7 @@ def prove(asked: Sequence[Judged]) -> list[Proof]:
     for group in _of_equal_sizes([each.stages for each in asked]):
         some, count = [asked[i] for i in group], len(group)
         excess = np.empty((count, max(some[0].stages.sizes["rows"], 1)))
-        problems, proofs = _stated([each.stages for each in some]), _at({"excess": excess}, _Proof)
+        problems, proofs = _stated([each.stages for each in some]), _at({"excess": excess}, PROOF)
         proofs["command"] = [address(each.command) for each in some]
         proofs["by_rule"] = [address(each.by_rule) for each in some]
         sides = [(0, 0) if each.by_row is None else tuple(map(address, each.by_row)) for each in some]
