@@ -343,16 +343,10 @@ class _Template:
     numbers: dict[str, float]
     arrays: dict[str, FloatArray]
 
-    @cached_property
-    def addresses(self) -> dict[str, int]:
-        """Addresses of the arrays, by name."""
-        return {name: address(array) for name, array in self.arrays.items()}
-
 
 def _template(problem: TransientProblem, stage: LinearStage) -> _Template:
     """The template of a problem, cached with the device unless a wall or a limit depends on the tap itself."""
-    others = _others(problem)
-    if others is None:
+    if (others := _others(problem)) is None:
         return _template_of(problem, stage)
     return problem.stage.kept(_Template, (stage.A, problem.terms), others, lambda: _template_of(problem, stage))
 
@@ -424,19 +418,19 @@ def _stages(problems: Sequence[TransientProblem]) -> list[Stages]:
         "end_target": np.stack([each.target for each in after]) * by,
     }
     places = {name: (address(array), array.strides[0]) for name, array in arrays.items()}
+    addresses = {name: address(array) for name, array in shared.arrays.items()}
     sizes, found = shared.sizes | {"ends": after[0].target.size}, []
     for j, (problem, its_tail) in enumerate(zip(problems, after, strict=True)):
-        numbers = {"constant": (problem.tracking.constant + its_tail.rest) / OBJECTIVE_SCALE}
         given = Stages(
             problem=problem,
             input_scale=stage.input_scale,
             kelvin=shared.kelvin,
             limits=shared.limits,
             sizes=sizes,
-            numbers=shared.numbers | numbers,
+            numbers=shared.numbers | {"constant": (problem.tracking.constant + its_tail.rest) / OBJECTIVE_SCALE},
             arrays=shared.arrays | {name: array[j] for name, array in arrays.items()},
         )
-        vars(given)["addresses"] = shared.addresses | {name: at + j * step for name, (at, step) in places.items()}
+        vars(given)["addresses"] = addresses | {name: at + j * step for name, (at, step) in places.items()}
         found.append(given)
     return found
 
