@@ -112,14 +112,32 @@ def test_replay_converges_and_says_how_far(make_problem: ProblemMaker) -> None:
     np.testing.assert_allclose(at_switching, found.acceleration_m_s2, rtol=1e-12, atol=1e-12)
 
 
+def test_what_a_device_keeps_is_made_again_where_a_part_is_another(make_problem: ProblemMaker) -> None:
+    stage, part, made = make_problem().stage.extended(), np.zeros(2), list[int]()
+
+    def kept(same: tuple[object, ...], equal: object) -> int:
+        def make() -> int:
+            made.append(len(made))
+            return made[-1]
+
+        return stage.kept("kind", same, equal, make)
+
+    assert [kept((part,), (3, "b")) for _ in range(2)] == [0, 0]
+    assert kept((part.copy(),), (3, "b")) == 1  # equal, but not the same
+    assert kept((part,), (4, "b")) == 2
+    assert kept((part, part), (4, "b")) == 3
+    assert kept((part, part), (4, "b")) == 3
+
+
 def test_many_commands_are_replayed_as_each_alone(make_problem: ProblemMaker) -> None:
     problem = make_problem(stages=40)
     M = COMMANDS_AT_ONCE + 2
     commands, targets = np.random.default_rng(1).uniform(-4, 4, (M, 40)), [problem.target] * M
-    limits = [problem.limits] * M
+    wider = problem.limits.replaced(problem.limits["current"].wider(2.0))
+    limits = [wider if m % 3 == 1 else problem.limits for m in range(M)]
     together = replay(problem.stage, problem.grid, commands, targets, None, limits=limits)
-    for command, found in zip(commands, together, strict=True):
-        (alone,) = replay(problem.stage, problem.grid, command[None], targets[:1], None, limits=limits[:1])
+    for m, (command, found) in enumerate(zip(commands, together, strict=True)):
+        (alone,) = replay(problem.stage, problem.grid, command[None], targets[:1], None, limits=limits[m : m + 1])
         np.testing.assert_allclose(found.acceleration_m_s2, alone.acceleration_m_s2, rtol=1e-9, atol=1e-9)
         assert found.reached == pytest.approx(alone.reached, rel=1e-9)
         assert found.after_peak_m_s2 == pytest.approx(alone.after_peak_m_s2, rel=1e-9)

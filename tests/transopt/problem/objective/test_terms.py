@@ -16,7 +16,7 @@ from transopt.problem.objective.movement import Movement
 from transopt.problem.objective.plain import plain
 from transopt.problem.objective.rapid import rapid, rapid_filter
 from transopt.problem.objective.target import Target
-from transopt.problem.objective.tracking import Tracking
+from transopt.problem.objective.tracking import Tracking, filter_together
 from transopt.problem.objective.weighting import ErrorFilter, highpass, pacinian
 
 N, M, L, DT_S = 40, 15, 3, 1e-4
@@ -46,6 +46,18 @@ TERMS = {
         ErrorTerm("rapid", np.ones(N), error_filter=highpass(20.0, DT_S)),
     ),
 }
+
+
+@pytest.mark.parametrize("kind", TERMS)
+def test_costs_filtered_together_are_those_filtered_alone(kind: str) -> None:
+    others = TERMS["plain"]  # terms of their own, in the same call
+    together = [Tracking(tap(seed), TERMS[kind]) for seed in range(5)] + [Tracking(tap(5), others)]
+    filter_together(together)
+    for seed, found in enumerate(together):
+        alone = Tracking(tap(seed), found.terms)
+        np.testing.assert_allclose(found.wanted, alone.wanted, rtol=1e-13, atol=1e-13)
+        np.testing.assert_array_equal(found.weights, alone.weights)
+        assert found.energy_m2_s4 == pytest.approx(alone.energy_m2_s4, rel=1e-13)
 
 
 @pytest.mark.parametrize("kind", TERMS)

@@ -1,0 +1,70 @@
+"""Stage data of the taps of one grip, computed together, are those of each tap alone."""
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from transopt.base.recursions import address
+from transopt.design.context import Context
+from transopt.problem.problem import TransientProblem
+from transopt.recordings.references import References
+from transopt.scene.scene import Scene
+from transopt.solvers import stage_data
+from transopt.solvers.stage_data import NO_LIMITS, Stages, stages, stages_of, without_limits_of
+
+
+@pytest.fixture
+def problems(scene: Scene, recorded: References) -> list[TransientProblem]:
+    """Taps with a tail at two grips in turn, without the temperature, one of them with a price on heat."""
+    context = Context(scene, recorded)
+    taps = [(speed, grip) for speed in scene.grid.speeds_m_s for grip in scene.grid.grips_N[:2]]
+    found = [context.posed(*tap).problem.without("temperature") for tap in taps]
+    return [replace(found[0], heat_price=1e-3), *found]
+
+
+@pytest.fixture
+def alone(problems: list[TransientProblem], monkeypatch: pytest.MonkeyPatch) -> list[Stages]:
+    found = []
+    for problem in problems:
+        monkeypatch.setattr(stage_data, "_memory", threading.local())
+        found.append(stages(problem))
+    monkeypatch.setattr(stage_data, "_memory", threading.local())
+    return found
+
+
+def test_together_as_alone(problems: list[TransientProblem], alone: list[Stages]) -> None:
+    for problem, given, other in zip(problems, stages_of(problems), alone, strict=True):
+        assert given.problem is problem
+        assert given.sizes == other.sizes
+        assert given.numbers == pytest.approx(other.numbers, rel=1e-12)
+        for name, array in given.arrays.items():
+            np.testing.assert_allclose(array, other.arrays[name], rtol=1e-12, atol=1e-14, err_msg=name)
+
+
+def test_taps_of_one_grip_differ_in_the_target_alone(problems: list[TransientProblem]) -> None:
+    given = stages_of(problems)
+    first, of_its_grip = given[1], given[3]
+    assert first.arrays["A"] is of_its_grip.arrays["A"]
+    assert first.arrays["A"] is not given[2].arrays["A"]
+    assert np.abs(first.arrays["reference"] - of_its_grip.arrays["reference"]).max() > 1e-3
+
+
+def test_addresses_are_those_of_the_arrays(problems: list[TransientProblem]) -> None:
+    for given in (*stages_of(problems), *without_limits_of(problems)):
+        assert given.addresses == {name: address(array) for name, array in given.arrays.items()}
+        assert all(array.flags.c_contiguous for array in given.arrays.values())
+
+
+def test_what_is_asked_for_again_is_not_computed_again(problems: list[TransientProblem]) -> None:
+    first = stages_of(problems)
+    again = stages_of([replace(problem) for problem in problems])
+    assert all(one.arrays is other.arrays for one, other in zip(first, again, strict=True))
+
+
+def test_without_limits_nothing_is_bounded(problems: list[TransientProblem]) -> None:
+    for given, whole in zip(without_limits_of(problems), stages_of(problems), strict=True):
+        assert given.sizes == whole.sizes | {"rows": 0}
+        assert whole.sizes["rows"] > 0
+        assert all(given.arrays[name].size == 0 for name in NO_LIMITS)
