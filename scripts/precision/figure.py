@@ -26,7 +26,7 @@ TINY_PT = 6.5
 SMALL_DPI = 120
 EXACT = "exact hold"  # what every solver's curve has anyway
 NAME_HEIGHT = 6.0  # what a name takes up on the logarithmic axis, as a factor
-# Where a point's name may stand from it, in points: the first place where it covers no other name is taken.
+# Offsets of a point's name from the point, in points; the first one at which it covers no other name is taken.
 NAME_PLACES_PT = ((6, 3), (6, -6), (6, 10), (6, -13), (-6, 3), (-6, -6), (-6, 10), (6, 17), (6, -20))
 # Okabe and Ito's colours; a method keeps its look in every panel.
 LOOKS: dict[str, dict[str, Any]] = {
