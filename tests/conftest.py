@@ -41,8 +41,8 @@ from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Reference
-from transopt.recordings.references import References
+from transopt.references.reference import Reference
+from transopt.references.references import References
 from transopt.scene.keys import with_values
 from transopt.scene.recordings import references_of
 from transopt.scene.scene import Scene

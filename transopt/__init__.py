@@ -40,10 +40,10 @@ if TYPE_CHECKING:
     from transopt.problem.problem import TransientProblem
     from transopt.proof.replay import Replay, replay
     from transopt.recordings.recording import Recording
-    from transopt.recordings.reference import Reference
-    from transopt.recordings.references import References
     from transopt.recordings.settings import Recordings
     from transopt.recordings.tap import prepare, read_recordings
+    from transopt.references.reference import Reference
+    from transopt.references.references import References
     from transopt.report.write import write_report
     from transopt.scene.builtin import load_scene, scene_names
     from transopt.scene.file import with_model, with_plant
@@ -117,8 +117,8 @@ _HOME = {
     "Output": "plant.state_space",
     "Recording": "recordings.recording",
     "Recordings": "recordings.settings",
-    "Reference": "recordings.reference",
-    "References": "recordings.references",
+    "Reference": "references.reference",
+    "References": "references.references",
     "Replay": "proof.replay",
     "Scene": "scene.scene",
     "Solution": "problem.answer",

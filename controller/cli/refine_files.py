@@ -16,8 +16,8 @@ from controller.refine.tables import LEGEND, following_line, place, reasons, ref
 from transopt.base import terminal
 from transopt.base.errors import InputError
 from transopt.base.plotting import save_figure
+from transopt.files.names import Layout
 from transopt.library.library import Library
-from transopt.recordings.names import Layout
 from transopt.recordings.recording import Recording, load_recording
 from transopt.recordings.split import split
 

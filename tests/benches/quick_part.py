@@ -10,7 +10,7 @@ import numpy as np
 from scipy import integrate, signal
 
 from transopt.plant.discretise import TimeGrid
-from transopt.recordings.reference import Reference
+from transopt.references.reference import Reference
 
 FROM_Hz = 8.0
 

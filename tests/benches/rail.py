@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from transopt.base.signals import FloatArray
-from transopt.recordings.reference import Reference
+from transopt.references.reference import Reference
 from transopt.scene.scene import Scene
 
 STEPS = 40  # of a servo period

@@ -10,7 +10,7 @@ from scipy.io import savemat, wavfile
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
-from transopt.recordings.names import Layout
+from transopt.files.names import Layout
 from transopt.recordings.recording import Recording, load_recording
 
 DT_S = 1e-4

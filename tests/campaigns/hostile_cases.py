@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from scipy.io import savemat, wavfile
 
 from tests.benches.brought_files import FILES
+from transopt.files.unclear import options
 from transopt.library.arrays import HASH_FIELD, content_hash
 from transopt.plant.coil import CoilModel
-from transopt.recordings.unclear import options
 
 REFUSED, DONE = (2,), (0,)
 Arrays = dict[str, NDArray[Any]]

@@ -30,7 +30,7 @@ from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.base.writing import table
 from transopt.design.build import build_library
 from transopt.library.library import Library
-from transopt.recordings.references import References
+from transopt.references.references import References
 from transopt.scene.recordings import recordings_of, references_of
 from transopt.scene.scene import Scene
 

@@ -26,9 +26,9 @@ from tests.benches.commands import Outcome, Run, captured
 from tests.benches.tap_formats import ONSET_S, SPEED_M_S, Brought
 from tests.campaigns.harness import PartFile, long_form, write_part
 from transopt.base.writing import table
+from transopt.files.unclear import joined
 from transopt.recordings.settings import Recordings
 from transopt.recordings.tap import PreparedTap, prepare, read_recordings
-from transopt.recordings.unclear import joined
 
 PEAK, ONSET = 0.05, 3e-4  # relative; s
 OPTION = re.compile(r"(--[a-zA-Z-]+(?: (?:'[^']*'|[^\s(]+))?(?: --[a-zA-Z-]+ (?:'[^']*'|[^\s(]+))*) \(")

@@ -28,7 +28,7 @@ from transopt.design.refine_grid import DEFAULT_CAP, refine_grid
 from transopt.library.library import Library
 from transopt.plant.discretise import discretise
 from transopt.proof.replay import replayed_figures
-from transopt.recordings.references import References
+from transopt.references.references import References
 from transopt.scene.recordings import references_of
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings

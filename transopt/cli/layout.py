@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from transopt.recordings.names import Layout
-    from transopt.recordings.unclear import Answer
+    from transopt.files.names import Layout
+    from transopt.files.unclear import Answer
 
 LEAST_RATE_HZ = 0.01  # a logger's reading every hundred seconds
 COLUMNS_HELP = 'Names of the files\' columns, in order, "-" skips one: time_s,-,acceleration_g or time,force,acc.'
@@ -27,8 +27,8 @@ def layout(columns: str, units: str, rate_Hz: float | None = None, answer: "Answ
     ------
     InputError : units that are none.
     """
-    from transopt.recordings.names import Layout, stated_units
-    from transopt.recordings.unclear import joined
+    from transopt.files.names import Layout, stated_units
+    from transopt.files.unclear import joined
 
     stated = {"columns": split_columns(columns), "units": stated_units(units), "rate_Hz": rate_Hz}
     return Layout(**joined(stated, answer or {}))

@@ -12,7 +12,7 @@ from transopt.cli.layout import RateHz, layout
 
 if TYPE_CHECKING:
     from transopt.identify.black_box import ResponseFit
-    from transopt.recordings.response import MeasuredResponse
+    from transopt.identify.response import MeasuredResponse
 
 COLUMNS_HELP = 'Names of the file\'s columns, in order, "-" skips one: frequency_Hz,-,real,imag.'
 UNITS_HELP = "Units of columns that state none: magnitude=g/V,phase=deg."
@@ -73,10 +73,10 @@ def plant_fit(
 
     from transopt.base.sizes import LONGEST_DELAY_S
     from transopt.cli.questions import answered
+    from transopt.files.unclear import Answer
     from transopt.identify.black_box import fit_response
+    from transopt.identify.response import WORDS, MeasuredResponse, read_response
     from transopt.plant.state_space import CURRENT_INPUT, VOLTAGE_INPUT
-    from transopt.recordings.response import WORDS, MeasuredResponse, read_response
-    from transopt.recordings.unclear import Answer
 
     inputs = {each.name: each for each in (CURRENT_INPUT, VOLTAGE_INPUT)}
     _check_options(driven_by, out)
@@ -155,7 +155,7 @@ def _check_plausible(
     import numpy as np
 
     from transopt.base.signals import STANDARD_GRAVITY_M_S2
-    from transopt.recordings.plausible import against_sheet, implausible_response
+    from transopt.scene.plausible_response import against_sheet, implausible_response
 
     unit = fit.plant.driven_by.unit
     found = [each for each, _ in fit.resonances()]

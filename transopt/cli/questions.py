@@ -16,10 +16,10 @@ from transopt.base import asking, terminal
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.cli.layout import layout
+from transopt.files.formats import columns_of
+from transopt.files.names import Vocabulary, stated_units
+from transopt.files.unclear import Answer, UnclearError, joined, option_of, options, shown_path
 from transopt.identify.measurement import WORDS, Measurement, load_measurements
-from transopt.recordings.formats import columns_of
-from transopt.recordings.names import Vocabulary, stated_units
-from transopt.recordings.unclear import Answer, UnclearError, joined, option_of, options, shown_path
 from transopt.report.tried import Trials, in_a_line, trials
 
 Found = TypeVar("Found")

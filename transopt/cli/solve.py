@@ -159,7 +159,7 @@ def _build(wanted: Wanted) -> "tuple[Build, list[str]]":
     """
     from transopt.design.build import build_library
     from transopt.design.refine_grid import refine_grid
-    from transopt.recordings.unclear import UnclearError
+    from transopt.files.unclear import UnclearError
     from transopt.report.tried import asked_in_scene
     from transopt.report.write import write_report
     from transopt.scene.recordings import recordings_of

@@ -14,7 +14,7 @@ from transopt.cli.scene import ACCEPT_HELP
 if TYPE_CHECKING:
     from pydantic import ValidationError
 
-    from transopt.recordings.unclear import Answer
+    from transopt.files.unclear import Answer
     from transopt.report.tried import Taps
 
 
@@ -72,11 +72,11 @@ def taps(
     from pydantic import ValidationError
 
     from transopt.cli.questions import answered
-    from transopt.recordings.names import stated_units
+    from transopt.files.names import stated_units
+    from transopt.files.unclear import joined
     from transopt.recordings.recording import VOCABULARY
     from transopt.recordings.settings import Recordings
     from transopt.recordings.speed import UNKNOWN
-    from transopt.recordings.unclear import joined
     from transopt.report import tried
     from transopt.report.taps import (
         cells_table,
@@ -160,7 +160,7 @@ def _write_template(file: Path, *, force: bool) -> None:
 
 def _refusal(error: "ValidationError") -> str:
     """One line: the option, its value, and what it must be."""
-    from transopt.recordings.unclear import option_of
+    from transopt.files.unclear import option_of
 
     first = error.errors()[0]
     return f"{option_of(str(first['loc'][0]))} {first['input']}: {first['msg'].replace('Input should be', 'must be')}"

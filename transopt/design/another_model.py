@@ -1,6 +1,6 @@
 """Solve a library again for another hand on its device; limits and grid stay as they were.
 
-The new commands track the tap that the object would give this hand (`transopt.recordings.another_hand`), or the tap
+The new commands track the tap that the object would give this hand (`transopt.design.another_hand`), or the tap
 as it was recorded.
 """
 
@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from transopt.base.errors import InputError
+from transopt.design.another_hand import in_another_hand
 from transopt.design.build import Build, build_library
 from transopt.library.library import Library
 from transopt.library.recorded import references_of_library
-from transopt.recordings.another_hand import in_another_hand
-from transopt.recordings.reference import Reference
+from transopt.references.reference import Reference
 from transopt.scene.file import with_model
 from transopt.scene.scene import Scene
 

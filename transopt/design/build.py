@@ -30,8 +30,8 @@ from transopt.library.posed import PLANT
 from transopt.plant.state_space import POSITION, VELOCITY
 from transopt.problem.objective.target import along_normal
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import COURSES, Reference
-from transopt.recordings.references import References
+from transopt.references.reference import COURSES, Reference
+from transopt.references.references import References
 from transopt.scene.identified import IdentifiedModel
 from transopt.scene.model_parts import MODEL_PARTS
 from transopt.scene.scene import Scene

@@ -17,8 +17,8 @@ from transopt.problem.posing import Posing, Wanted
 from transopt.problem.problem import TransientProblem
 from transopt.proof.designed import Designed
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Reference
-from transopt.recordings.references import Cells, References
+from transopt.references.reference import Reference
+from transopt.references.references import Cells, References
 from transopt.scene.recordings import references_of, sampled_again
 from transopt.scene.scene import Scene
 

@@ -10,7 +10,7 @@ from transopt.design.remedy import MOST_WORK, MOTOR, STAGES, Values, Work, does,
 from transopt.plant.state_space import CURRENT_INPUT
 from transopt.problem.limits.current import CurrentLimit
 from transopt.problem.limits.own import OwnLimit
-from transopt.recordings.reference import Reference
+from transopt.references.reference import Reference
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions

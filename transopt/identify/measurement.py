@@ -7,9 +7,9 @@ from typing import Any
 
 from transopt.base.errors import InputError
 from transopt.base.signals import Signal
-from transopt.recordings.names import Layout, Scalar, Vocabulary
+from transopt.files.names import Layout, Scalar, Vocabulary
+from transopt.recordings.axes import read_signals
 from transopt.recordings.split import bounds, chosen, peak_times
-from transopt.recordings.table import read_table
 
 WORDS = Vocabulary(
     columns=(
@@ -171,7 +171,7 @@ def load_measurement(path: Path, layout: Layout | None = None) -> Measurement:
         raise InputError(
             f"{path}: a WAV file holds one signal; record command, current and acceleration as CSV or NPZ"
         )
-    table = read_table(path, WORDS, layout)
+    table = read_signals(path, WORDS, layout or Layout())
     if not table.signals:
         raise InputError(f"{path}: no column but time; known: {', '.join(WORDS.columns)}")
     return Measurement(

@@ -93,7 +93,7 @@ class Online:
     Parameters
     ----------
     library : gives references, limits, grid and start temperatures. A speed between its nodes has the reference that
-        `transopt.recordings.reference.between` states.
+        `transopt.references.reference.between` states.
     plant : makes the device for any grip on the library's grid; default: the plant of the library's scene.
     spread : makes the further devices that a robust library's command serves at a grip; default: those of the
         library's scene, or none if `plant` is given.

@@ -3,8 +3,8 @@
 import numpy as np
 
 from transopt.library.library import Library
-from transopt.recordings.reference import Reference
-from transopt.recordings.references import References
+from transopt.references.reference import Reference
+from transopt.references.references import References
 
 
 def references_of_library(library: Library) -> References:

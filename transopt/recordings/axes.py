@@ -1,11 +1,16 @@
 """Joins the axes of an accelerometer into one signal, since a tap moves the stylus along one line."""
 
 from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
+from transopt.files.names import Layout, Vocabulary
+from transopt.files.table import Table, read_table
+from transopt.files.unclear import in_file
 
 BLOCK_S = 0.05  # length of the blocks over which the earth's field is averaged
 APPROACH_S, RINGING_S = 0.03, 0.1  # times before and after a tap that are unusable for the field
@@ -14,6 +19,31 @@ FIELD = 0.1  # relative error of the earth's field that a sensor at rest may rea
 TURNED_DEG = 2.0  # a smaller turn is sensor noise
 ALL = "all"  # way of joining that also keeps the acceleration across the main direction
 STRONG = 0.5  # share of the largest deviation from rest, from which on samples show the direction of a tap
+
+
+def read_signals(path: Path, words: Vocabulary, layout: Layout) -> Table:
+    """Read one file, and join the axes of its accelerometer as the layout says, or along the main direction.
+
+    Raises
+    ------
+    InputError : see `read_table` and `joined`; or an axis is chosen, and the file has one acceleration.
+    """
+    table, way = read_table(path, words, layout), layout.axis
+    with in_file(path):
+        if not table.axes:
+            if way:
+                raise InputError(
+                    f"--axis {way} (in a scene recordings.axis): the file has one acceleration; leave it out"
+                )
+            return table
+        one = next(iter(table.axes.values()))
+        axes, turned = without_turning({name: x.values for name, x in table.axes.items()}, one.dt_s)
+        whole, said = joined(axes, way or "main")
+        made = {"acceleration": whole}
+        if way == ALL:
+            made["across_1"], made["across_2"] = across(axes)
+    signals = {**table.signals, **{quantity: replace(one, values=values) for quantity, values in made.items()}}
+    return replace(table, signals=signals, axes={}, notes=(said, *filter(None, [turned]), *table.notes))
 
 
 def without_turning(axes: Mapping[str, FloatArray], step_s: float) -> tuple[dict[str, FloatArray], str]:

@@ -15,19 +15,14 @@ neither of which depends on the object that was struck:
 
 If the speed is unknown, only the height of the peak is checked. Wrong units of speed and acceleration that cancel in
 q show in the speed itself, because the speed of a hand is bounded.
-
-A response, acceleration over current or voltage, is checked in the same way. Its maximum, its resonance and the
-displacement per constant input have bounds that a wrong unit exceeds. Below and above the resonance it follows powers
-of the frequency, which differ between acceleration, velocity and displacement. A data sheet reveals the rest: a
-factor of 9.81, 1000 or 2 pi is a unit and not a tolerance.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
-from transopt.base.signals import STANDARD_GRAVITY_M_S2, ComplexArray, FloatArray, Signal
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, Signal
 from transopt.recordings.settings import Recordings
 
 PULSE_S = (30e-6, 0.1)  # length of the pulse at half its height
@@ -38,13 +33,6 @@ CHANGE_WITHIN_S = 0.05  # after contact; later the hand lifts the stylus
 PEAK_G = (0.3, 60.0)  # peaks of taps by hand; the built-in ones reach 19
 HAND_M_S = (0.01, 3.0)  # speeds that a hand taps with
 FINE = 100_000  # number of samples to which a recording is reduced for this check
-GAIN = (0.02, 2e4)  # m/s^2 per A or V, maximum of a response: an LRA's case has 1 to 50, a tweeter's dome 2000
-RESONANCE_HZ = (2.0, 3e3)
-STILL_M = (1e-10, 0.02)  # m per A or V below the resonance: a phone's case moves 1e-6, a soft shaker 2e-3
-SLOPE, SLOPE_POINTS = 0.35, 4  # tolerance on a power of the frequency; fewest points that one is fitted to
-SHEET = 1.4  # ratio by which specimens and mountings may differ from the data sheet
-THIRD = 2 ** (1 / 3)  # one third of an octave, as a frequency ratio
-TINY = 1e-300
 GROWTH = 1.2  # ratio of the successive lengths tried for the pulse
 
 
@@ -139,98 +127,21 @@ def implausible_motion(x: Signal, onset_s: float, speed_m_s: float, settings: Re
 def _height(peak_g: float) -> str:
     if PEAK_G[0] <= peak_g <= PEAK_G[1]:
         return ""
-    likely = _likely(peak_g, PEAK_G, {"g and m/s^2": STANDARD_GRAVITY_M_S2, "mg or mm/s^2": 1e3})
+    likely = likely_slip(peak_g, PEAK_G, {"g and m/s^2": STANDARD_GRAVITY_M_S2, "mg or mm/s^2": 1e3})
     return (
         f"peak {peak_g:.3g} g, a tap's by hand {PEAK_G[0]:g} to {PEAK_G[1]:g} g: check the unit of the "
         f"acceleration{likely}"
     )
 
 
-def implausible_response(
-    frequencies_Hz: FloatArray, response: ComplexArray | FloatArray, resonances_Hz: Sequence[float], unit: str
-) -> str:
-    """Why a frequency response cannot be that of an actuator's acceleration; empty if it can be.
-
-    Parameters
-    ----------
-    frequencies_Hz : (m,) increasing, above 0. response : (m,) [m/s^2 per A or V].
-    resonances_Hz : resonances of a fit to the response.
-    unit : unit of its input, "A" or "V".
-    """
-    f, size = frequencies_Hz, np.abs(response)
-    peak = float(size.max())
-    if not GAIN[0] <= peak <= GAIN[1]:
-        likely = _likely(peak, GAIN, {"g": STANDARD_GRAVITY_M_S2, "mm/s^2, mg or mV": 1e3})
-        return (
-            f"the largest response is {peak:.3g} m/s^2 per {unit}, an actuator's {GAIN[0]:g} to {GAIN[1]:g}: check "
-            f"its unit{likely}"
-        )
-    first = f <= THIRD * f[0]
-    nearby = any(f[0] / 2 <= each <= 2 * f[0] for each in resonances_Hz)
-    if first.sum() >= SLOPE_POINTS and not nearby and _power(f[first], size[first]) < -1:
-        inverse = f"{'volts' if unit == 'V' else 'amperes'} over acceleration"
-        return f"it grows towards low frequencies, as {inverse}: are the columns exchanged?"
-    inside = [each for each in resonances_Hz if f[0] <= each <= f[-1]]  # a fit is arbitrary outside its band
-    if not inside:
-        return ""
-    at = max(inside, key=lambda each: float(np.interp(each, f, size)))
-    if not RESONANCE_HZ[0] <= at <= RESONANCE_HZ[1]:
-        likely = _likely(at, RESONANCE_HZ, {"rad/s called Hz": 2 * math.pi, "kHz": 1e3})
-        return (
-            f"its resonance is at {at:.4g} Hz, an actuator's at {RESONANCE_HZ[0]:g} to {RESONANCE_HZ[1]:g}: check "
-            f"the unit of the frequency{likely}"
-        )
-    low, high = f < at / 2, f > 2 * at
-    if min(low.sum(), high.sum()) < SLOPE_POINTS:
-        return ""
-    rise, fall = (_power(f[part], size[part]) for part in (low, high))
-    for slopes, name, by in ((1, "a velocity", "2 pi f"), (2, "a displacement", "(2 pi f)^2")):
-        if max(abs(rise - (2 - slopes)), abs(fall + slopes)) < SLOPE:
-            return (
-                f"below and above {at:.4g} Hz it goes with the frequency as {name}, no acceleration: state its unit, "
-                f"or multiply it by {by}"
-            )
-    still_m = float(np.median((size / (2 * math.pi * f) ** 2)[low]))
-    if not STILL_M[0] <= still_m <= STILL_M[1]:
-        slips = {"mm/s^2, mg or mV": 1e3, "rad/s called Hz": (2 * math.pi) ** 2, "kHz": 1e6}
-        likely = _likely(still_m, STILL_M, slips)
-        return (
-            f"below its resonance it moves by {still_m:.2g} m per {unit}, an actuator by {STILL_M[0]:g} to "
-            f"{STILL_M[1]:g}: check the units{likely}"
-        )
-    return ""
-
-
-def against_sheet(found: float, stated: float, what: str, unit: str) -> str:
-    """Why a figure contradicts the data sheet, with the unit that explains the ratio; empty if it agrees.
-
-    Parameters
-    ----------
-    found, stated : in the same unit. what : name of the figure.
-    """
-    ratio = found / stated
-    if 1 / SHEET < ratio < SHEET:
-        return ""
-    causes = {"g and m/s^2": STANDARD_GRAVITY_M_S2, "milli": 1e3, "rad/s and Hz": 2 * math.pi, "rms and peak": 2**0.5}
-    nearest = min(causes, key=lambda each: abs(abs(math.log(ratio)) - math.log(causes[each])))
-    return (
-        f"its {what} is {found:.4g} {unit}, by the sheet {stated:.4g} {unit}, {ratio:.3g} times as much"
-        f"{_asked(nearest, causes)}"
-    )
-
-
-def _power(f: FloatArray, size: FloatArray) -> float:
-    """Exponent of the frequency with which a magnitude grows, by a fit in logarithms."""
-    return float(np.polyfit(np.log(f), np.log(size + TINY), 1)[0])
-
-
-def _likely(value: float, bounds: tuple[float, float], factors: Mapping[str, float]) -> str:
+def likely_slip(value: float, bounds: tuple[float, float], factors: Mapping[str, float]) -> str:
     """The most likely slip that moved a value out of its bounds, as a question; empty if none explains it."""
     by = {name: value * (1 / factor if value > bounds[1] else factor) for name, factor in factors.items()}
     middle = math.log(bounds[0] * bounds[1]) / 2
     inside = {name: abs(math.log(each) - middle) for name, each in by.items() if bounds[0] <= each <= bounds[1]}
-    return _asked(min(inside, key=lambda name: inside[name]), factors) if inside else ""
+    return slip(min(inside, key=lambda name: inside[name]), factors) if inside else ""
 
 
-def _asked(name: str, factors: Mapping[str, float]) -> str:
+def slip(name: str, factors: Mapping[str, float]) -> str:
+    """A mistaken unit with its factor, as a question at the end of a message."""
     return f" (a factor of {factors[name]:.4g}: {name}?)"

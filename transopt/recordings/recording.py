@@ -13,8 +13,8 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.shown import brief
 from transopt.base.signals import Signal
-from transopt.recordings.names import Layout, Scalar, Vocabulary
-from transopt.recordings.table import read_table
+from transopt.files.names import Layout, Scalar, Vocabulary
+from transopt.recordings.axes import read_signals
 
 VOCABULARY = Vocabulary(
     columns=(
@@ -99,7 +99,7 @@ def load_recording(path: Path, layout: Layout | None = None) -> Recording:
     ------
     InputError : one line that says what is wrong with the file.
     """
-    table = read_table(path, VOCABULARY, layout)
+    table = read_signals(path, VOCABULARY, layout or Layout())
     acceleration = table.signals["acceleration"].values
     if np.all(acceleration == acceleration[0]):
         raise InputError(

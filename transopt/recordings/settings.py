@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from transopt.base.section import Finite, NonNegative, Positive, Section, Speed, Words
 from transopt.base.sizes import MOST_COLUMNS, MOST_FILES
-from transopt.recordings.names import Layout
+from transopt.files.names import Layout
 
 
 class SimulatedTaps(Section):

@@ -18,8 +18,9 @@ from transopt.base.filters import highpass, lowpass
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray, Signal, median
 from transopt.base.sizes import MOST_FILES
+from transopt.files.formats import refuse_idle
+from transopt.files.unclear import UnclearError
 from transopt.recordings.approach import GUARD_S, find_approach
-from transopt.recordings.formats import refuse_idle
 from transopt.recordings.plausible import HAND_M_S, implausible_motion, implausible_time
 from transopt.recordings.pulling import pulled_back_after_s
 from transopt.recordings.recording import Recording, load_recording
@@ -27,7 +28,6 @@ from transopt.recordings.second_hit import second_hit
 from transopt.recordings.settings import Recordings
 from transopt.recordings.speed import FITTED, UNKNOWN, incoming_speed
 from transopt.recordings.split import SLOWEST_HZ, split, white_noise
-from transopt.recordings.unclear import UnclearError
 
 AT_THE_START_S = 0.5e-3  # an onset this close to the start of the record has no baseline
 BASELINE_SAMPLES = 8  # fewest samples of a baseline

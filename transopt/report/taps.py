@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.base.tables import Table
+from transopt.files.unclear import toml
 from transopt.recordings.approach import UNSEPARATED
-from transopt.recordings.references import COST, grip_groups
 from transopt.recordings.settings import Recordings
 from transopt.recordings.speed import UNKNOWN
 from transopt.recordings.tap import PreparedTap
-from transopt.recordings.unclear import toml
+from transopt.references.references import COST, grip_groups
 
 NO_GRAVITY_M_S2 = 0.5  # a smaller offset: the sensor is within 3 degrees of level, or reads no gravity
 MOST_LINES = 3  # lines of one kind; the files of a folder usually share a fault

@@ -12,12 +12,12 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
-from transopt.recordings.formats import full_scales
+from transopt.files.formats import full_scales
+from transopt.files.unclear import Answer, UnclearError, joined, keys, options, printable, shown_path
+from transopt.files.units import known_units, read_unit, sensed
 from transopt.recordings.plausible import PEAK_G, USUAL_SPEED_CHANGE, speed_changes_m_s
 from transopt.recordings.settings import Recordings
 from transopt.recordings.tap import PreparedTap, check_speed, prepare, read_recordings
-from transopt.recordings.unclear import Answer, UnclearError, joined, keys, options, printable, shown_path
-from transopt.recordings.units import known_units, read_unit, sensed
 
 Found = TypeVar("Found")
 Taps = tuple[list[PreparedTap], Recordings]

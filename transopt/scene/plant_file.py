@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from transopt.base import mat5
 from transopt.base.errors import InputError
 from transopt.base.files import read_file, whole_file
 from transopt.base.nearest import did_you_mean
@@ -24,8 +23,9 @@ from transopt.base.npz import Archive
 from transopt.base.shown import cut
 from transopt.base.signals import FloatArray
 from transopt.base.sizes import MOST_MODEL_BYTES, MOST_STATES
+from transopt.files import mat5
+from transopt.files.containers import guarded
 from transopt.plant.state_space import StateSpace
-from transopt.recordings.containers import guarded
 
 OUTPUT = "output_"  # prefix of the variable with a further output's row
 USUAL_UNITS = {"position": "m", "velocity": "m/s", "current": "A"}  # of the outputs with built-in limits

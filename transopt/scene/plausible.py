@@ -14,7 +14,8 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.units import unit_of
 from transopt.plant.state_space import StateSpace
-from transopt.recordings.plausible import HAND_M_S, implausible_response
+from transopt.recordings.plausible import HAND_M_S
+from transopt.scene.plausible_response import implausible_response
 
 ACCEPT = 'correct it; if it is right, --accept takes it, or implausible = "accept" above the first table of the scene'
 KELVIN_0_C = -273.15

@@ -6,11 +6,11 @@ from functools import partial
 from transopt.base.signals import FloatArray
 from transopt.plant.intention import FreeMotion
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Free
-from transopt.recordings.references import References, build_references
-from transopt.recordings.references import sampled_again as taps_sampled_again
 from transopt.recordings.tap import read_recordings
-from transopt.recordings.targets import target_references
+from transopt.references.reference import Free
+from transopt.references.references import References, build_references
+from transopt.references.references import sampled_again as taps_sampled_again
+from transopt.references.targets import target_references
 from transopt.scene import strikes
 from transopt.scene.scene import Scene
 

@@ -37,7 +37,7 @@ from transopt.problem.limits.input import SHARES as MOTOR_SHARES
 from transopt.problem.objective.rapid import rapid_filter
 from transopt.problem.posing import Posing
 from transopt.recordings.settings import Recordings
-from transopt.recordings.targets import TargetTable
+from transopt.references.targets import TargetTable
 from transopt.scene.consistent import BELOW, POPULATION_SEED, check
 from transopt.scene.identified import IdentifiedModel
 from transopt.scene.model_parts import ChainHand, DriveDevice

@@ -14,7 +14,7 @@ from transopt.design.context import KEPT_STAGES, OF_A_STAGE, Context, Kept, Pose
 from transopt.design.design import design
 from transopt.plant.discretise import StageModel
 from transopt.recordings.recording import Recording
-from transopt.recordings.references import References
+from transopt.references.references import References
 from transopt.scene.keys import Changes, with_values
 from transopt.scene.recordings import references_of
 from transopt.scene.scene import Scene

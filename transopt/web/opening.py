@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from transopt.base.errors import InputError
+from transopt.files.unclear import Answer, joined
 from transopt.library.columns import COLUMNS, EntryTable
 from transopt.library.library import Library
 from transopt.library.proven import load_proven
-from transopt.recordings.unclear import Answer, joined
 from transopt.report.tried import Taps, prepared, usable
 from transopt.scene.builtin import load_scene, scene_names, scene_path
 from transopt.scene.keys import IN_PLACE_OF, with_values

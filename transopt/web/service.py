@@ -29,8 +29,8 @@ from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel, TimeGrid
 from transopt.problem.warm_coil import WarmCoil
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Reference
-from transopt.recordings.references import References
+from transopt.references.reference import Reference
+from transopt.references.references import References
 from transopt.scene.builtin import FOLDER
 from transopt.scene.keys import IN_PLACE_OF, Value, keys, with_values
 from transopt.scene.recordings import recordings_of, references_of

@@ -19,7 +19,7 @@ from transopt.base.errors import InputError
 from transopt.base.signals import nrmse
 from transopt.library.library import Library
 from transopt.library.place import speed_weights
-from transopt.recordings.references import References
+from transopt.references.references import References
 
 DT = 1e-4
 LEAD_TICKS = 3

@@ -9,7 +9,7 @@ import pytest
 import transopt as to
 from tests.benches.actuators import HEAD, LIMITS, file_scene, ten_states
 from tests.benches.commands import Outcome, Run, assert_refused
-from tests.transopt.recordings.test_response import G, S, W, table, uff
+from tests.transopt.identify.test_response import G, S, W, table, uff
 
 F_HZ = np.linspace(10, 2000, 400)
 SAME = 1e-6  # of the limit, between designs of one device stated in three ways

@@ -19,8 +19,8 @@ from tests.benches.tap_formats import SPEED_M_S, TAP_M_S2, TIMES_S
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
 from transopt.cli.questions import answered, plotted, sketched, typed
+from transopt.files.unclear import Answer, UnclearError, joined, options
 from transopt.recordings.recording import VOCABULARY
-from transopt.recordings.unclear import Answer, UnclearError, joined, options
 
 pty = pytest.importorskip("pty", reason="pseudo-terminals are POSIX's")
 WAIT_S = 60.0  # for an answer of a process; none takes more than some seconds

@@ -13,7 +13,7 @@ from transopt.design.intensity import best, intense, most_price
 from transopt.design.optimum import optimum
 from transopt.problem.problem import TransientProblem
 from transopt.proof.designed import Attained, Designed
-from transopt.recordings.reference import Reference
+from transopt.references.reference import Reference
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions

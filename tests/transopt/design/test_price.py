@@ -28,7 +28,7 @@ from transopt.problem.objective.weighting import pacinian
 from transopt.problem.problem import TransientProblem
 from transopt.proof.designed import Designed
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Reference
+from transopt.references.reference import Reference
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions

@@ -13,7 +13,7 @@ from transopt.design.context import Context
 from transopt.design.verify import verify_library
 from transopt.library.file import load_library
 from transopt.recordings.recording import Recording
-from transopt.recordings.references import References
+from transopt.references.references import References
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings

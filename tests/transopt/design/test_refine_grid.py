@@ -17,8 +17,8 @@ from transopt.design.verify import verify_library
 from transopt.library.file import load_library
 from transopt.library.library import Library
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Reference
-from transopt.recordings.references import References
+from transopt.references.reference import Reference
+from transopt.references.references import References
 from transopt.report.markdown import build_json, build_markdown
 from transopt.report.tables import refinement_summary
 from transopt.scene.keys import with_values

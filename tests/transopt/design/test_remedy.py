@@ -24,8 +24,8 @@ from transopt.design.remedy import NEAR, Values, Work, does, remedies
 from transopt.design.scene_entry import SceneEntry
 from transopt.problem.answer import Status
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Reference
-from transopt.recordings.references import References
+from transopt.references.reference import Reference
+from transopt.references.references import References
 from transopt.scene.keys import with_values
 from transopt.scene.recordings import references_of
 from transopt.scene.scene import Scene

@@ -25,7 +25,7 @@ from transopt.library.online import Online
 from transopt.proof.certify import certify
 from transopt.proof.replay import replay
 from transopt.recordings.recording import Recording
-from transopt.recordings.references import References
+from transopt.references.references import References
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.solvers.native import extension

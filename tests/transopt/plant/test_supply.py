@@ -22,7 +22,7 @@ from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import binding_limits, certify, inside
 from transopt.proof.designed import Designed
-from transopt.recordings.reference import Reference
+from transopt.references.reference import Reference
 from transopt.scene.scene import Scene
 from transopt.solvers.choose import solve
 from transopt.solvers.options import SolverOptions

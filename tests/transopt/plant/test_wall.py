@@ -21,7 +21,7 @@ from transopt.problem.wall_ticks import pressing
 from transopt.proof.certify import Effect, certify, reduced_gradient
 from transopt.proof.designed import Designed
 from transopt.proof.replay import replay
-from transopt.recordings.reference import Reference
+from transopt.references.reference import Reference
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
 

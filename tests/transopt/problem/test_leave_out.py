@@ -19,7 +19,7 @@ from transopt.problem.problem import TransientProblem
 from transopt.problem.wall_ticks import pressing
 from transopt.proof.certify import certify, inside
 from transopt.proof.replay import replay
-from transopt.recordings.reference import Reference
+from transopt.references.reference import Reference
 from transopt.scene.scene import Scene
 from transopt.solvers.choose import solve
 from transopt.solvers.options import SolverOptions

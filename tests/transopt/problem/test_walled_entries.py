@@ -24,7 +24,7 @@ from transopt.problem.answer import Status
 from transopt.problem.problem import TransientProblem
 from transopt.problem.wall_ticks import pressing
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Reference
+from transopt.references.reference import Reference
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
 

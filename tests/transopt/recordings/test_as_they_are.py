@@ -10,7 +10,7 @@ from tests.benches.recording_files import DT_S, TAP_M_S2, TIMES_S, load, mat, np
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
 from transopt.base.signals import FloatArray, Signal
-from transopt.recordings.names import stated_units
+from transopt.files.names import stated_units
 from transopt.recordings.settings import Recordings
 from transopt.recordings.split import bounds
 from transopt.recordings.tap import PreparedTap, prepare, read_recordings

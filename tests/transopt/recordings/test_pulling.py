@@ -8,7 +8,7 @@ import pytest
 import problems
 from tests.benches.places import IMPACTS
 from transopt.base.signals import Signal
-from transopt.recordings.names import Layout
+from transopt.files.names import Layout
 from transopt.recordings.pulling import pulled_back_after_s
 from transopt.recordings.recording import load_recording
 from transopt.recordings.settings import Recordings

@@ -13,12 +13,12 @@ from tests.benches.tap_formats import hdf5, tdms, universal, workbook
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
 from transopt.base.signals import FloatArray
-from transopt.recordings import containers
+from transopt.files import containers
+from transopt.files.names import Layout, stated_units
+from transopt.files.units import read_unit
+from transopt.identify.response import read_response
 from transopt.recordings.axes import joined, without_turning
-from transopt.recordings.names import Layout, stated_units
 from transopt.recordings.recording import load_recording
-from transopt.recordings.response import read_response
-from transopt.recordings.units import read_unit
 
 FREQUENCIES_Hz = np.linspace(20.0, 500.0, 60)
 ACCELERANCE = 4.0 * (2j * np.pi * FREQUENCIES_Hz) ** 2 / (np.square(2 * np.pi * 150) + 2j * np.pi * FREQUENCIES_Hz)

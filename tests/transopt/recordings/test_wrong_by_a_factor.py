@@ -17,11 +17,11 @@ from tests.benches.tap_formats import RATE_HZ, SPEED_M_S, hdf5, tdms, universal,
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
 from transopt.base.signals import FloatArray
-from transopt.recordings.names import Layout
-from transopt.recordings.response import read_response
+from transopt.files.names import Layout
+from transopt.files.unclear import UnclearError
+from transopt.identify.response import read_response
 from transopt.recordings.settings import Recordings
 from transopt.recordings.tap import prepare, read_recordings
-from transopt.recordings.unclear import UnclearError
 
 FULL_SCALE_M_S2 = 500.0
 Pack = Callable[[FloatArray, FloatArray], bytes]

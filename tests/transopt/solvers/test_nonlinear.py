@@ -18,7 +18,7 @@ from transopt.plant.nonlinear_stage import NonlinearStage, resolved
 from transopt.problem.answer import Multipliers, Solution, Status
 from transopt.problem.nonlinear import NonlinearProblem
 from transopt.proof.nonlinear import NonlinearEffect, certify_nonlinear, reduced_gradient
-from transopt.recordings.targets import target_references
+from transopt.references.targets import target_references
 from transopt.scene.scene import Scene
 from transopt.solvers.nonlinear import NonlinearProgram, solve
 from transopt.solvers.options import SolverOptions

@@ -9,7 +9,7 @@ import pytest
 from transopt.base.recursions import address
 from transopt.design.context import Context
 from transopt.problem.problem import TransientProblem
-from transopt.recordings.references import References
+from transopt.references.references import References
 from transopt.scene.scene import Scene
 from transopt.solvers import stage_data
 from transopt.solvers.stage_data import NO_LIMITS, Stages, stages, stages_of, without_limits_of

@@ -27,7 +27,7 @@ from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import Effect, certify, inside, relaxed_bound
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Reference
+from transopt.references.reference import Reference
 from transopt.scene.scene import Scene
 from transopt.solvers import riccati
 from transopt.solvers.choose import global_bound, solve

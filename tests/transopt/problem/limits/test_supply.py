@@ -21,7 +21,7 @@ from transopt.problem.answer import Status
 from transopt.problem.leave_out import leave_out
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import binding_limits, certify
-from transopt.recordings.reference import Reference
+from transopt.references.reference import Reference
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 from transopt.solvers.choose import solve

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
-from transopt.recordings.units import UNITS, Unit, known_units, parts, read_unit, with_input
+from transopt.files.units import UNITS, Unit, known_units, parts, read_unit, with_input
 
 SPELLINGS = {
     ("acceleration", 1.0): "m/s^2,m/s2,m/s²,M/S^2,m/sec^2,m/s**2,m/s/s,m s-2,m·s⁻²,m_s2,meters/second^2,metres/sec²",

@@ -8,8 +8,8 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.base.sizes import MOST_ROWS
-from transopt.recordings.names import Meaning, Vocabulary
-from transopt.recordings.rates import Rate
+from transopt.files.names import Meaning, Vocabulary
+from transopt.files.rates import Rate
 
 LARGEST = 1e12  # in any SI unit: beyond every instrument, yet its square and its slope do not overflow a float
 MIN_SAMPLES = 8

@@ -17,9 +17,9 @@ from transopt.base.signals import FloatArray
 from transopt.base.threads import one_blas_thread
 from transopt.plant.discretise import TimeGrid
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import COURSES, Free, Reference, build_reference
 from transopt.recordings.settings import Recordings
 from transopt.recordings.tap import PreparedTap, check_usable, prepare
+from transopt.references.reference import COURSES, Free, Reference, build_reference
 
 ALIKE = 0.05  # relative difference of grips that the hysteresis of a grip sensor cannot resolve
 ROUNDING = 1e-9  # relative difference up to which a grip or speed is a recorded one

@@ -1,7 +1,7 @@
 """Opens spreadsheets and loggers' files, each by its own library: the extra `formats`.
 
 A sheet becomes the text that its program would have exported; TDMS and HDF5 become named variables.
-`transopt.recordings.formats` interprets them.
+`transopt.files.formats` interprets them.
 """
 
 import io
@@ -21,8 +21,8 @@ from typing import Any
 from transopt.base.errors import InputError
 from transopt.base.npz import Archive
 from transopt.base.sizes import MOST_ROWS, MOST_UNPACKED_BYTES, megabytes
-from transopt.recordings.names import quote
-from transopt.recordings.rates import Rate
+from transopt.files.names import quote
+from transopt.files.rates import Rate
 
 HDF5_TIME_S = 8.0  # the largest valid file, 268 MB, took 1.3 s
 HDF5 = b"\x89HDF\r\n\x1a\n"

@@ -1,11 +1,11 @@
 """Checks and converts the columns of a file to SI signals on one uniform time grid.
 
-`read_table` reads both taps on real objects (`transopt.recordings.recording`) and runs of a device
-(`transopt.identify.measurement`), each with its own vocabulary. Errors are raised without the file's name;
-`read_table` adds it in front.
+`read_table` serves every reader of signals over time, each with its own vocabulary. Errors are raised without the
+file's name; `read_table` adds it in front.
 """
 
 import hashlib
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,13 +18,12 @@ from transopt.base.errors import InputError
 from transopt.base.files import read_file
 from transopt.base.signals import FloatArray, Signal
 from transopt.base.sizes import MOST_RECORD_BYTES
-from transopt.recordings.axes import ALL, across, joined, without_turning
-from transopt.recordings.containers import guarded
-from transopt.recordings.formats import read_raw
-from transopt.recordings.names import Layout, Vocabulary, axis_of, quote
-from transopt.recordings.raw_table import LARGEST, MIN_SAMPLES, RawTable
-from transopt.recordings.unclear import UnclearError, located
-from transopt.recordings.units import likely_units
+from transopt.files.containers import guarded
+from transopt.files.formats import read_raw
+from transopt.files.names import Layout, Vocabulary, axis_of, quote
+from transopt.files.raw_table import LARGEST, MIN_SAMPLES, RawTable
+from transopt.files.unclear import UnclearError, in_file
+from transopt.files.units import likely_units
 
 _UNIFORM = 0.01  # steps: stamps closer than this to the uniform grid count as on it
 _ASTRAY = 0.45  # steps: a stamp farther off the grid carries no time; its sample counts as missing
@@ -34,6 +33,7 @@ _JITTER = 0.35  # steps, rms: above it the sampling instants are unknown
 _BESIDE = 8  # stamps on either side of a long step, which show whether a row was lost
 _DISORDER = 0.1  # share of steps that go back, above which the column is no time
 _TINY = 1e-300
+_AXES = ("x", "y", "z")
 _NEIGHBOURS = 21  # stamps that each stamp is compared with
 
 
@@ -45,15 +45,17 @@ class Table:
     ----------
     signals : quantity -> signal in SI, all on the uniform grid of the mean time step, resampled to it by a cubic
         spline if a time stamp lay off that grid by more than 1 % of a step or a sample was missing.
+    axes : x, y or z -> acceleration along it, if the file has several axes; `signals` then has no acceleration.
     scalars : quantity -> SI value, for those that the file states.
     sha256 : hash of the file's bytes.
     off_grid : rms distance of the time stamps from the uniform grid, in steps.
     missing : one sentence on what was interpolated; empty if no sample was missing.
-    notes : how axes were joined, which columns were not used, stated units that contradict the file; one sentence
+    notes : what was left out, which columns were not used, stated units that contradict the file; one sentence
         each.
     """
 
     signals: Mapping[str, Signal]
+    axes: Mapping[str, Signal]
     scalars: Mapping[str, float]
     sha256: str
     off_grid: float
@@ -99,32 +101,28 @@ def read_table(path: Path, words: Vocabulary, layout: Layout | None = None) -> T
     data = read_file(
         path, MOST_RECORD_BYTES, "name a recording, or several as tap_*.csv or FOLDER/*, in pieces if it is too long"
     )
-    try:
+    with in_file(path), np.errstate(all="ignore"):  # an overflow from absurd values becomes inf, which is refused
         if not data:
             raise InputError("is empty (0 bytes); record or export it again")
-        with np.errstate(all="ignore"):  # an overflow from absurd values becomes inf, which the checks refuse
-            layout = layout or Layout()
-            raw = read_raw(path.suffix, data, layout, words)
-            joining: list[str] = []
-            signals, clock = _signals(raw, words, layout.axis, joining)
-            scalars = {}
-            for quantity in dict.fromkeys(scalar.quantity for scalar in words.header.values()):
-                value = _stated(raw.header, quantity, words)
-                if value is not None:
-                    scalars[quantity] = value
-    except InputError as error:
-        raise located(error, path) from error
-    notes = (*joining, *(each.note for each in raw.meanings.values() if each.note), *raw.notes)
-    return Table(signals, scalars, hashlib.sha256(data).hexdigest(), clock.off_grid, clock.missing, notes)
+        raw = read_raw(path.suffix, data, layout or Layout(), words)
+        said: list[str] = []
+        signals, clock = _signals(raw, words, said)
+        quantities = dict.fromkeys(scalar.quantity for scalar in words.header.values())
+        stated = {quantity: _stated(raw.header, quantity, words) for quantity in quantities}
+    axes = {name: signals.pop(name) for name in list(signals) if name in _AXES}
+    scalars = {quantity: value for quantity, value in stated.items() if value is not None}
+    notes = (*said, *(each.note for each in raw.meanings.values() if each.note), *raw.notes)
+    return Table(signals, axes, scalars, hashlib.sha256(data).hexdigest(), clock.off_grid, clock.missing, notes)
 
 
-def _signals(table: RawTable, words: Vocabulary, way: str, joining: list[str]) -> tuple[dict[str, Signal], _Clock]:
+def _signals(table: RawTable, words: Vocabulary, said: list[str]) -> tuple[dict[str, Signal], _Clock]:
     """Every quantity of the table except time, in SI, on one uniform grid; and that grid.
+
+    Several axes of an acceleration are called x, y and z.
 
     Parameters
     ----------
-    way : how axes are joined, see `axes.joined`; empty for the default.
-    joining : receives sentences that say how they were joined.
+    said : receives sentences on what was left out or derived.
     """
     size = table.rows()
     if size < MIN_SAMPLES:
@@ -132,28 +130,16 @@ def _signals(table: RawTable, words: Vocabulary, way: str, joining: list[str]) -
     empty = np.any([np.isnan(values) for values in table.columns.values()], axis=0)
     kept = size - int(np.argmin(empty[::-1])) if not empty.all() else size
     if size / 2 < kept < size:
-        joining.append(f"the last {size - kept} rows hold what is no number (NaN), and are left out")
+        said.append(f"the last {size - kept} rows hold what is no number (NaN), and are left out")
         table = replace(table, columns={name: values[:kept] for name, values in table.columns.items()})
-    converted = {name: _to_si(name, values, table) for name, values in table.columns.items()}
-    si = {table.meanings[name].quantity: values for name, values in converted.items()}
-    axes = {
-        axis: values
-        for name, values in converted.items()
-        if table.meanings[name].quantity == "acceleration" and (axis := axis_of(name))
-    }
-    if len(axes) > 1:
-        step_s = float(np.median(np.diff(si["time"])))
-        axes, turned = without_turning(axes, step_s) if step_s > 0 else (axes, "")
-        si["acceleration"], said = joined(axes, way or "main")
-        if way == ALL:
-            si["across_1"], si["across_2"] = across(axes)
-        joining += [said, *([turned] if turned else [])]
-    elif way:
-        raise InputError(f"--axis {way} (in a scene recordings.axis): the file has one acceleration; leave it out")
+    quantities = {name: table.meanings[name].quantity for name in table.columns}
+    several = Counter(quantities.values())["acceleration"] > 1
+    called = {name: axis_of(name) if several and of == "acceleration" else of for name, of in quantities.items()}
+    si = {called[name]: _to_si(name, values, table) for name, values in table.columns.items()}
     times = si.pop("time")
     velocity = si.pop("velocity", None)
-    if velocity is not None and "acceleration" not in si:
-        joining.append("the acceleration is the slope of the velocity")
+    if velocity is not None and "acceleration" not in quantities.values():
+        said.append("the acceleration is the slope of the velocity")
         in_order = bool(np.all(np.diff(times) > 0))  # if not, `_clock` refuses them
         slope = scipy.interpolate.CubicSpline(times, velocity)(times, 1) if in_order else velocity
         si["acceleration"] = np.asarray(slope)

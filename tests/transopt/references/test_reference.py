@@ -11,10 +11,10 @@ from transopt.base.filters import highpass, lowpass
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal, nrmse
 from transopt.plant.discretise import TimeGrid
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Free, Reference, build_reference
-from transopt.recordings.references import References, assign
 from transopt.recordings.settings import Recordings
 from transopt.recordings.tap import find_onset, prepare, read_recordings
+from transopt.references.reference import Free, Reference, build_reference
+from transopt.references.references import References, assign
 from transopt.scene.keys import with_values
 from transopt.scene.recordings import references_of
 from transopt.scene.scene import Scene

@@ -1,7 +1,7 @@
 """The file formats of signals, each read as the file states it: text, arrays, loggers' files and WAV.
 
 Each format has one function that returns the file's columns in the file's own units. It checks nothing but the
-columns' names (`transopt.recordings.names`), for which the reader has a `Vocabulary`. `transopt.recordings.table`
+columns' names (`transopt.files.names`), for which the reader has a `Vocabulary`. `transopt.files.table`
 checks and converts the columns of all formats.
 """
 
@@ -18,15 +18,15 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from transopt.base import mat5
 from transopt.base.errors import InputError
 from transopt.base.files import read_file
 from transopt.base.npz import Archive
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.base.sizes import MOST_RECORD_BYTES
-from transopt.recordings.containers import HDF5, Channels, guarded, hdf5_datasets, sheet_as_text, tdms_channels
-from transopt.recordings.meanings import meanings
-from transopt.recordings.names import (
+from transopt.files import mat5
+from transopt.files.containers import HDF5, Channels, guarded, hdf5_datasets, sheet_as_text, tdms_channels
+from transopt.files.meanings import meanings
+from transopt.files.names import (
     MOST_CHOICES,
     SKIPPED,
     Layout,
@@ -39,12 +39,12 @@ from transopt.recordings.names import (
     stated_for,
     with_axes,
 )
-from transopt.recordings.rates import Rate, rate_of
-from transopt.recordings.raw_table import LARGEST, RawTable, check_size, without_times
-from transopt.recordings.text import is_untimed, read_text, text_columns, untimed
-from transopt.recordings.unclear import Answer, UnclearError, options
-from transopt.recordings.units import is_unit, known_units, read_unit
-from transopt.recordings.universal_file import universal_columns
+from transopt.files.rates import Rate, rate_of
+from transopt.files.raw_table import LARGEST, RawTable, check_size, without_times
+from transopt.files.text import is_untimed, read_text, text_columns, untimed
+from transopt.files.unclear import Answer, UnclearError, options
+from transopt.files.units import is_unit, known_units, read_unit
+from transopt.files.universal_file import universal_columns
 
 _SAVE_NPZ = "save real numeric arrays with numpy.savez (no objects, no pickles)"
 _SAVE_MAT = "save it in MATLAB with -v7"

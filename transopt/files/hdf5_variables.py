@@ -1,6 +1,6 @@
 """A separate program: reads an HDF5 file from standard input, writes its numeric arrays as NPZ to standard output.
 
-The HDF5 library crashes or hangs on some damaged files. `transopt.recordings.containers` therefore runs it in this
+The HDF5 library crashes or hangs on some damaged files. `transopt.files.containers` therefore runs it in this
 process of its own, with a time limit.
 """
 

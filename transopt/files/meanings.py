@@ -12,7 +12,7 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
-from transopt.recordings.names import (
+from transopt.files.names import (
     MOST_CHOICES,
     SKIPPED,
     Meaning,
@@ -27,8 +27,8 @@ from transopt.recordings.names import (
     quote,
     stated_unit,
 )
-from transopt.recordings.unclear import RATES_HZ, UnclearError, guesses, times_in, usual_first
-from transopt.recordings.units import (
+from transopt.files.unclear import RATES_HZ, UnclearError, guesses, times_in, usual_first
+from transopt.files.units import (
     Unit,
     is_electrical,
     is_sensed,

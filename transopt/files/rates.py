@@ -5,8 +5,8 @@ import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from transopt.recordings.names import quote
-from transopt.recordings.units import read_unit
+from transopt.files.names import quote
+from transopt.files.units import read_unit
 
 # What precedes and follows a number: an optional unit in brackets, a mark, and an optional unit.
 _VALUE = (

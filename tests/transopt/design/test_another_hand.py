@@ -5,8 +5,8 @@ import pytest
 from scipy.linalg import expm
 
 from transopt.base.signals import FloatArray
+from transopt.design.another_hand import in_another_hand
 from transopt.plant.state_space import StateSpace
-from transopt.recordings.another_hand import in_another_hand
 from transopt.scene import strikes
 from transopt.scene.builtin import POPULATION
 from transopt.scene.population import load_population

@@ -23,9 +23,9 @@ from transopt.base.section import Finite, Name, NonNegative, Positive, Section, 
 from transopt.base.signals import FloatArray, Signal
 from transopt.plant.discretise import TimeGrid
 from transopt.recordings.recording import load_recording
-from transopt.recordings.reference import Reference
-from transopt.recordings.references import References
 from transopt.recordings.settings import Recordings
+from transopt.references.reference import Reference
+from transopt.references.references import References
 
 FINE = 4000  # number of instants at which the largest value of a shape is searched
 GONE = 1e-4  # of its peak: a decay ends at this level

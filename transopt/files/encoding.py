@@ -4,7 +4,7 @@ import codecs
 import re
 
 from transopt.base.errors import InputError
-from transopt.recordings.units import is_unit
+from transopt.files.units import is_unit
 
 HEAD = 65536  # leading bytes in which units are looked for and the encoding is recognised
 _ZERO_BYTES = 0.4  # share of zeros among every second byte: above it in UTF-16 of mostly ASCII text

@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 from transopt.base.errors import InputError
 from transopt.base.sizes import MOST_COLUMNS, MOST_IN_A_ROW
-from transopt.recordings.encoding import HEAD, encoding_of
-from transopt.recordings.names import SKIPPED, Vocabulary, apart, quantity_of, quote, split_names, with_axes
-from transopt.recordings.raw_table import MIN_SAMPLES, check_size
-from transopt.recordings.units import is_unit
+from transopt.files.encoding import HEAD, encoding_of
+from transopt.files.names import SKIPPED, Vocabulary, apart, quantity_of, quote, split_names, with_axes
+from transopt.files.raw_table import MIN_SAMPLES, check_size
+from transopt.files.units import is_unit
 
 _REMARKS: tuple[str, ...] = ("#", "*", "%", "//")
 _HEADER_LINE = re.compile(r"(?:[#*%]|//)\s*([A-Za-z]\w*)\s*[:=]\s*(.*)")

@@ -9,8 +9,8 @@ import pytest
 from transopt.base.errors import InputError
 from transopt.base.signals import nrmse
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import COURSES, Reference
-from transopt.recordings.references import References, grip_groups
+from transopt.references.reference import COURSES, Reference
+from transopt.references.references import References, grip_groups
 from transopt.scene.keys import with_values
 from transopt.scene.recordings import references_of
 from transopt.scene.scene import Scene

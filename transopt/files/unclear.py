@@ -8,6 +8,7 @@ import itertools
 import json
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
-from transopt.recordings.units import UNITS, likely_units
+from transopt.files.units import UNITS, likely_units
 
 Answer = Mapping[str, Any]
 # Key of an answer -> command-line option, if its name differs from the key.
@@ -63,11 +64,15 @@ def shown_path(file: Path | None) -> str:
     return f"{file if str(file).isprintable() else repr(str(file))}: "
 
 
-def located(error: InputError, file: Path) -> InputError:
-    """The error with the file's name in front."""
-    if isinstance(error, UnclearError):
-        return UnclearError(error.problem, error.answers, file)
-    return InputError(f"{shown_path(file)}{error}")
+@contextmanager
+def in_file(file: Path) -> Iterator[None]:
+    """Put the file's name in front of every error of the block."""
+    try:
+        yield
+    except UnclearError as error:
+        raise UnclearError(error.problem, error.answers, file) from error
+    except InputError as error:
+        raise InputError(f"{shown_path(file)}{error}") from error
 
 
 def joined(stated: Answer, more: Answer) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 from transopt.base.errors import InputError
-from transopt.recordings.units import RATIOS, is_electrical, is_unit, read_unit
+from transopt.files.units import RATIOS, is_electrical, is_unit, read_unit
 
 SKIPPED = "-"
 MOST_CHOICES = 8  # most choices offered among columns of one quantity

@@ -11,13 +11,13 @@ import scipy
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
-from transopt.recordings.meanings import meanings, one_clock
-from transopt.recordings.names import SKIPPED, Layout, Vocabulary, apart, quantity_of, quote, spared, with_axes
-from transopt.recordings.rates import Rate, rate_of
-from transopt.recordings.raw_table import MIN_SAMPLES, RawTable, without_times
-from transopt.recordings.text_rows import cells_of, delimiter_of, parted_text, with_points
-from transopt.recordings.unclear import UnclearError, guesses
-from transopt.recordings.units import likely_units
+from transopt.files.meanings import meanings, one_clock
+from transopt.files.names import SKIPPED, Layout, Vocabulary, apart, quantity_of, quote, spared, with_axes
+from transopt.files.rates import Rate, rate_of
+from transopt.files.raw_table import MIN_SAMPLES, RawTable, without_times
+from transopt.files.text_rows import cells_of, delimiter_of, parted_text, with_points
+from transopt.files.unclear import UnclearError, guesses
+from transopt.files.units import likely_units
 
 _TIME_OF_DAY = re.compile(r"(?:(?P<hours>\d{1,2}):)?(?P<minutes>\d{1,2}):(?P<s>\d{1,2}(?:[.,:]\d+)?)(?!\d)")
 HALF_A_DAY_S = 43200.0

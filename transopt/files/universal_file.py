@@ -14,10 +14,10 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.base.sizes import MOST_ROWS
-from transopt.recordings.containers import Channels, labelled
-from transopt.recordings.names import MOST_CHOICES, Layout, Vocabulary, quantity_of, quote
-from transopt.recordings.unclear import UnclearError
-from transopt.recordings.units import UNITS, input_unit, parts
+from transopt.files.containers import Channels, labelled
+from transopt.files.names import MOST_CHOICES, Layout, Vocabulary, quantity_of, quote
+from transopt.files.unclear import UnclearError
+from transopt.files.units import UNITS, input_unit, parts
 
 TIME_RESPONSE, FREQUENCY_RESPONSE = 1, 4  # function types of record 6
 # Specific data types in records 8 to 10. A general quantity is described by exponents of length, force, temperature.

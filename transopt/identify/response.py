@@ -1,8 +1,8 @@
 """Measured frequency responses, acceleration over current or voltage: read from CSV, text, NPZ, MAT and UFF files.
 
 Tables have a column of frequencies and either magnitude and phase or real and imaginary part, with names and units as
-instruments write them (`transopt.recordings.names`). A universal file holds a response in its dataset 58
-(`transopt.recordings.universal_file`).
+instruments write them (`transopt.files.names`). A universal file holds a response in its dataset 58
+(`transopt.files.universal_file`).
 """
 
 import math
@@ -17,11 +17,11 @@ from transopt.base.files import read_file
 from transopt.base.shown import brief
 from transopt.base.signals import ComplexArray, FloatArray
 from transopt.base.sizes import MOST_RECORD_BYTES
-from transopt.recordings.formats import read_raw, refuse_idle
-from transopt.recordings.names import Layout, Meaning, Vocabulary, quote
-from transopt.recordings.raw_table import MIN_SAMPLES, RawTable
-from transopt.recordings.unclear import located
-from transopt.recordings.units import INPUTS, RATIOS, parts
+from transopt.files.formats import read_raw, refuse_idle
+from transopt.files.names import Layout, Meaning, Vocabulary, quote
+from transopt.files.raw_table import MIN_SAMPLES, RawTable
+from transopt.files.unclear import in_file
+from transopt.files.units import INPUTS, RATIOS, parts
 
 LARGEST = 1e9  # m/s^2 per A or V: far above every actuator, and its square does not overflow
 WORDS = Vocabulary(
@@ -77,7 +77,7 @@ def read_response(
     """
     data = read_file(path, MOST_RECORD_BYTES, "name a file with a measured frequency response")
     layout = layout or Layout()
-    try:
+    with in_file(path):
         if not (math.isfinite(scale) and scale != 0):
             raise InputError(f"--scale {scale}: must be a number other than 0")
         if path.suffix.lower() == ".wav":
@@ -90,8 +90,6 @@ def read_response(
             frequencies_Hz, response, said = _of_table(raw)
             found = _checked(frequencies_Hz, scale * response)
         _agreeing(said, driven_by)
-    except InputError as error:
-        raise located(error, path) from error
     notes = [each.note for each in raw.meanings.values()]
     # A level in dB is not converted; its scale states the value at 0 dB.
     stated = next((each.stated for each in said.values() if each.stated and not math.isnan(each.factor)), "")
