@@ -20,11 +20,10 @@ from transopt.base.signals import FloatArray, Signal, median
 from transopt.base.sizes import MOST_FILES
 from transopt.files.formats import refuse_idle
 from transopt.files.unclear import UnclearError
+from transopt.recordings.after_contact import pulled_back_after_s, second_hit
 from transopt.recordings.approach import GUARD_S, find_approach
 from transopt.recordings.plausible import HAND_M_S, implausible_motion, implausible_time
-from transopt.recordings.pulling import pulled_back_after_s
 from transopt.recordings.recording import Recording, load_recording
-from transopt.recordings.second_hit import second_hit
 from transopt.recordings.settings import Recordings
 from transopt.recordings.speed import FITTED, UNKNOWN, incoming_speed
 from transopt.recordings.split import SLOWEST_HZ, split, white_noise

@@ -9,7 +9,7 @@ import problems
 from tests.benches.places import IMPACTS
 from transopt.base.signals import Signal
 from transopt.files.names import Layout
-from transopt.recordings.pulling import pulled_back_after_s
+from transopt.recordings.after_contact import pulled_back_after_s
 from transopt.recordings.recording import load_recording
 from transopt.recordings.settings import Recordings
 from transopt.recordings.tap import prepare
