@@ -21,8 +21,8 @@ from typing import Any
 from transopt.base.errors import InputError
 from transopt.base.npz import Archive
 from transopt.base.sizes import MOST_ROWS, MOST_UNPACKED_BYTES, megabytes
-from transopt.files.names import quote
-from transopt.files.rates import Rate
+from transopt.files.names import labelled, quote
+from transopt.files.statements import Rate
 
 HDF5_TIME_S = 8.0  # the largest valid file, 268 MB, took 1.3 s
 HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -133,8 +133,3 @@ def hdf5_datasets(data: bytes) -> Channels:
             raise ValueError(last[-1] if last else "the library cannot go on")
         archive = Archive(read.stdout)
     return Channels(archive)
-
-
-def labelled(name: str, unit: object) -> str:
-    """A name with its unit in brackets, if the file states one."""
-    return f"{name} [{unit}]" if isinstance(unit, str) and unit.strip() else name

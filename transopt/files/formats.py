@@ -33,16 +33,17 @@ from transopt.files.names import (
     Meaning,
     Vocabulary,
     apart,
+    labelled,
     lacking,
     quantity_of,
     quote,
     stated_for,
     with_axes,
 )
-from transopt.files.rates import Rate, rate_of
 from transopt.files.raw_table import LARGEST, RawTable, check_size, without_times
+from transopt.files.statements import Rate, rate_of
 from transopt.files.text import is_untimed, read_text, text_columns, untimed
-from transopt.files.unclear import Answer, UnclearError, options
+from transopt.files.unclear import Answer, UnclearError, chosen_channel, options
 from transopt.files.units import is_unit, known_units, read_unit
 from transopt.files.universal_file import universal_columns
 
@@ -266,7 +267,7 @@ def _parted(named: Mapping[str, object], words: Vocabulary) -> dict[str, Callabl
         unit = next((named[at] for of in UNIT_FIELDS if (at := f"{above}.{of}".strip(".")) in named), "")
         is_other = isinstance(unit, str) and quantity_of(key, words) == "time" and read_unit(unit, "time") is None
         if isinstance(unit, str) and is_unit(unit) and apart(key)[1] is None and not is_other:
-            key = f"{key} [{unit}]"
+            key = labelled(key, unit)
         found[key] = partial(named.__getitem__, name)
         if key in words.header:
             continue
@@ -276,10 +277,10 @@ def _parted(named: Mapping[str, object], words: Vocabulary) -> dict[str, Callabl
         if values.ndim == 2 and values.dtype.kind in "iuf" and 1 < rows.shape[0] <= MOST_CHOICES < rows.shape[1]:
             is_sensor = rows.shape[0] == len(_AXES) and quantity_of(key, words) == "acceleration"
             base, unit = apart(key)
-            behind = f" [{unit}]" if unit else ""
             del found[key]
             columns = _AXES if is_sensor else map(str, range(1, rows.shape[0] + 1))
-            found |= {f"{base} {which}{behind}": partial(rows.__getitem__, k) for k, which in enumerate(columns)}
+            for k, which in enumerate(columns):
+                found[labelled(f"{base} {which}", unit)] = partial(rows.__getitem__, k)
     return dict(zip(with_axes(list(found)), found.values(), strict=True))
 
 
@@ -300,21 +301,13 @@ def full_scales() -> list[Answer]:
 
 def _read_wav(data: bytes, layout: Layout) -> tuple[RawTable, Rate]:
     """One channel of a WAV file, and its rate."""
-    full_scale_m_s2, channel = layout.full_scale_m_s2, layout.channel
+    full_scale_m_s2 = layout.full_scale_m_s2
     if full_scale_m_s2 is None:
         raise UnclearError("the acceleration of a WAV file's full scale is not stated, in m/s^2", full_scales())
     if not 0 < full_scale_m_s2 <= LARGEST:
         raise InputError(f"recordings.full_scale_m_s2 = {full_scale_m_s2:g}: must be above 0 m/s^2 and finite")
     rate_Hz, values = _sound(data)
-    count = values.shape[1]
-    if channel is None and count > 1:
-        raise UnclearError(
-            f"{count} channels, and which is the accelerometer's is not stated",
-            [{"channel": each + 1} for each in range(min(count, MOST_CHOICES))],
-        )
-    if channel is not None and not 1 <= channel <= count:
-        raise InputError(f"--channel {channel}: the file has {count}; choose 1 to {count}")
-    values = values[:, (channel or 1) - 1]
+    values = values[:, chosen_channel(layout.channel, [""] * values.shape[1], "channels")]
     known = {"acceleration_m_s2": Meaning("acceleration", 1.0)}
     raw = RawTable({"acceleration_m_s2": full_scale_m_s2 * values}, known, {}, lambda k: f"sample {k}")
     return raw, Rate(float(np.divide(1.0, rate_Hz)))

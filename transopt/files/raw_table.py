@@ -9,7 +9,7 @@ from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.base.sizes import MOST_ROWS
 from transopt.files.names import Meaning, Vocabulary
-from transopt.files.rates import Rate
+from transopt.files.statements import Rate
 
 LARGEST = 1e12  # in any SI unit: beyond every instrument, yet its square and its slope do not overflow a float
 MIN_SAMPLES = 8

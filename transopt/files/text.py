@@ -12,9 +12,9 @@ import scipy
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.files.meanings import meanings, one_clock
-from transopt.files.names import SKIPPED, Layout, Vocabulary, apart, quantity_of, quote, spared, with_axes
-from transopt.files.rates import Rate, rate_of
+from transopt.files.names import SKIPPED, Layout, Vocabulary, apart, labelled, quantity_of, quote, spared, with_axes
 from transopt.files.raw_table import MIN_SAMPLES, RawTable, without_times
+from transopt.files.statements import Rate, rate_of
 from transopt.files.text_rows import cells_of, delimiter_of, parted_text, with_points
 from transopt.files.unclear import UnclearError, guesses
 from transopt.files.units import likely_units
@@ -140,7 +140,7 @@ def _chosen(columns: Sequence[str], found: Sequence[str], words: Vocabulary) -> 
         return list(columns)
     units = [apart(name)[1] for name in found]
     return [
-        f"{name} [{unit}]" if unit and quantity_of(name, words) is not None and not apart(name)[1] else name
+        labelled(name, unit) if quantity_of(name, words) is not None and not apart(name)[1] else name
         for name, unit in zip(columns, units, strict=True)
     ]
 

@@ -14,23 +14,17 @@ from typing import NamedTuple
 from transopt.base.errors import InputError
 from transopt.base.sizes import MOST_COLUMNS, MOST_IN_A_ROW
 from transopt.files.encoding import HEAD, encoding_of
-from transopt.files.names import SKIPPED, Vocabulary, apart, quantity_of, quote, split_names, with_axes
+from transopt.files.names import SKIPPED, Vocabulary, labelled, quantity_of, quote, split_names, with_axes
 from transopt.files.raw_table import MIN_SAMPLES, check_size
+from transopt.files.statements import DECIMAL_COMMA, REMARKS, described, stated_in
 from transopt.files.units import is_unit
 
-_REMARKS: tuple[str, ...] = ("#", "*", "%", "//")
-_HEADER_LINE = re.compile(r"(?:[#*%]|//)\s*([A-Za-z]\w*)\s*[:=]\s*(.*)")
 _HEAD_ROWS = 4  # rows above the numbers that are searched for names, units and comments of columns
 _WHEN = re.compile(r"\d:\d|\d/\d+/\d|\d-\d+-\d")  # a date or a time of day, which is no column name
-_UNITS_OF_VALUES = ("verticalunits", "yunitlabel", "yunits", "vunit", "units")  # as instruments call them
-_UNITS_OF_TIMES = ("horizontalunits", "xunits", "hunit")
 _UNIT_CELL = re.compile(r"[\[(]([^\[\]()]+)[\])]")
-_METADATA = re.compile(r"([A-Za-z]\w*)\s*[:=,;\t]\s*(.*)")
-_NOTE = re.compile(r"[#*%/;\"\s]*([A-Za-z][\w -]*?)[\s\":]*[:=,;\t]+\s*(.*)")
 _QUOTED = re.compile(r'"([^"]*)"')
 MOST_BELOW = 50  # most lines below the numbers that are left out; more are of unknown meaning
 _LAST_ROWS = 20  # rows at the end of a file that show how its rows are divided
-_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # a single number contains no other comma
 _THOUSANDS = re.compile(r"[-+]?\d{1,3}(,\d{3})+(\.\d*)?")  # commas between thousands, in a row with decimal points
 _POINTED = re.compile(r"[-+]?[1-9]\d{0,2}((\.\d{3})+,\d*|(\.\d{3}){2,})")  # points between thousands
 _EITHER = re.compile(r"[-+]?[1-9]\d{0,2}\.\d{3}")  # 1.069, which means 1069 beside decimal commas
@@ -90,10 +84,11 @@ def parted_text(data: bytes, words: Vocabulary, columns: int = 0) -> Text:
         split_names(row, by_blanks=by_blanks or any(quantity_of(name, words) for name in row.split()))
         for row in above
     ]
-    _read_statements(above, header, words)
+    for row in above:
+        header |= stated_in(row, words)
     names = names or _names_above(lines[-_HEAD_ROWS:], width, words, told)
     if not names:
-        names = split_names(remark.lstrip("".join(_REMARKS) + "; "))
+        names = split_names(remark.lstrip("".join(REMARKS) + "; "))
         if names[:1] and names[0].lower() in ("headers", "columns") and len(names) == len(cells_of(first)) + 1:
             del names[0]
         known = words.labelled(names)
@@ -142,7 +137,7 @@ def _labelled(rows: list[str]) -> list[str]:
     for at, row in enumerate(rows):
         numbers = [found[2] for found in _LABELLED.finditer(row)]
         rows[at] = ",".join(numbers) if len(numbers) == len(names) else row
-    return [f"{name} [{unit}]" if unit else name for name in names]
+    return [labelled(name, unit) for name in names]
 
 
 def _beside(rows: list[str]) -> list[str]:
@@ -163,39 +158,6 @@ def _beside(rows: list[str]) -> list[str]:
     return [",".join(cells[:-1]).rstrip(",") for cells in parted if cells[0].strip()]
 
 
-def described(names: Sequence[str], width: int, notes: Sequence[str]) -> list[str]:
-    """The column names, with sources and units that an instrument notes elsewhere in the file.
-
-    Parameters
-    ----------
-    width : number of cells in a row of numbers.
-    notes : lines such as `Vertical Units,V`.
-    """
-    pairs = [(parted[1], parted[2]) for note in notes if (parted := _NOTE.fullmatch(note))]
-    stated = {
-        re.sub(r"[\s_-]", "", key.lower()): re.split(r"\s*[,;\t]\s*", values.replace('"', ""))
-        for key, values in pairs
-    }
-    units = next((stated[key] for key in _UNITS_OF_VALUES if key in stated), [])
-    sources = [each for key in ("source", "tracename") for each in stated.get(key, []) if each]
-    of_times = next((stated[key][0] for key in _UNITS_OF_TIMES if key in stated), "")
-    if not names and sources and width in (len(sources), len(sources) + 1):
-        names = [*["TIME"] * (width - len(sources)), *sources]
-    elif not names and units and width == 1:
-        names = ["values"]
-    found, used = list[str](), 0
-    for at, name in enumerate(names):
-        is_time = at == 0 and width > 1
-        unit = of_times if is_time else ""
-        if not is_time and used < len(units) and name != "X_Value":  # LabVIEW repeats it for each channel
-            unit, used = units[used].rpartition(":")[2], used + 1
-        called = sources[at - 1] if name == "Value" and 0 < at <= len(sources) else name
-        found.append(
-            f"{called} [{unit}]" if unit and is_unit(unit) and not is_unit(apart(called)[1] or "") else called
-        )
-    return found
-
-
 def _lines(data: bytes, header: dict[str, object], words: Vocabulary) -> tuple[list[str], "array[int]", str]:
     """Lines that are neither empty nor remarks, their row numbers, and the last remark above the numbers.
 
@@ -203,7 +165,7 @@ def _lines(data: bytes, header: dict[str, object], words: Vocabulary) -> tuple[l
     ----------
     header : receives what remarks state.
     """
-    remark, marks = "", _REMARKS
+    remark, marks = "", REMARKS
     rows, numbers = list[str](), array("l")  # up to millions of rows, so no list of int objects
     check_size(max(data.count(b"\n"), data.count(b"\r")))
     for number, line in enumerate(io.TextIOWrapper(io.BytesIO(data), encoding_of(data), newline=None), 1):
@@ -214,17 +176,28 @@ def _lines(data: bytes, header: dict[str, object], words: Vocabulary) -> tuple[l
         content = content if content.strip() else ""  # a tab at the start of a row ends an empty cell
         if number == 1:
             # A logger that separates cells by commas may begin its remarks with semicolons.
-            marks = _REMARKS + (";",) * (content[:1] == ";" and "," in content)
+            marks = REMARKS + (";",) * (content[:1] == ";" and "," in content)
             if content.lower().startswith("sep="):
                 continue  # a spreadsheet's note on its delimiter
         content = _SERIAL_STAMP.sub("", content, count=1) if " -> " in content else content
         if content.startswith(marks):
-            _read_header_line(number, content, header, words)
+            _put_remark(number, content, header, words)
             remark = remark if rows and _NUMBER_START.match(rows[-1]) else content
         elif content:
             rows.append(content)
             numbers.append(number)
     return rows, numbers, remark
+
+
+def _put_remark(number: int, line: str, header: dict[str, object], words: Vocabulary) -> None:
+    """Add what a remark states to `header`."""
+    for key, value in stated_in(line, words).items():
+        if key in header:
+            raise InputError(f"row {number}: {key} is stated a second time; keep one of the lines")
+        if key not in words.header:
+            known = f"known: {', '.join(words.header)}"
+            raise InputError(f"row {number}: unknown header key {quote(key)}; {known}; correct or reword it")
+        header[key] = value
 
 
 def _unquoted(cell: re.Match[str]) -> str:
@@ -234,7 +207,7 @@ def _unquoted(cell: re.Match[str]) -> str:
         return inside  # the whole row is quoted
     if _THOUSANDS.fullmatch(inside) and _POINT.search(cell.string):
         return inside.replace(",", "")
-    return inside.replace(",", "." if _DECIMAL_COMMA.fullmatch(inside) else " ")
+    return inside.replace(",", "." if DECIMAL_COMMA.fullmatch(inside) else " ")
 
 
 def cells_of(row: str) -> list[str]:
@@ -249,7 +222,7 @@ def with_points(cells: list[str], where: str = "") -> list[str]:
     InputError : beside decimal commas, a point may be either decimal or between thousands.
     """
     numbers = [cell.strip() for cell in cells]
-    if any("," in cell and (_DECIMAL_COMMA.fullmatch(cell) or _POINTED.fullmatch(cell)) for cell in numbers):
+    if any("," in cell and (DECIMAL_COMMA.fullmatch(cell) or _POINTED.fullmatch(cell)) for cell in numbers):
         if (either := next(filter(_EITHER.fullmatch, numbers), None)) is not None:
             problem = f"{either} stands beside decimal commas: is its point a decimal one, or between thousands?"
             raise InputError(f"{where}: {problem} write decimal commas, or points throughout")
@@ -292,25 +265,14 @@ def _names_above(above: list[list[str]], width: int, words: Vocabulary, told: li
         return []
     for at in range(len(lines) - 1, 0, -1):
         if units := _units_of(lines[at], len(lines[at - 1])):
-            return _with_units(lines[at - 1], units)
+            return list(map(labelled, lines[at - 1], units))
     names, heads = lines[-1], lines[-2] if len(lines) > 1 else []
     if len(heads) == len(names) > 2 and any(cell and _NUMBER.fullmatch(cell) for cell in names):
         told += [f"{name}: {cell}" for name, cell in zip(heads, names, strict=True) if _NUMBER.fullmatch(cell)]
         heads = [SKIPPED if _NUMBER.fullmatch(cell) else name for name, cell in zip(heads, names, strict=True)]
-        return _with_units(heads, [cell if is_unit(cell) else "" for cell in names])
+        return list(map(labelled, heads, [cell if is_unit(cell) else "" for cell in names]))
     told += [name.replace("=", ":") for name in names if _STATED.fullmatch(name)]  # t0 = -0.06, tInc = 1e-4
     return [SKIPPED if _STATED.fullmatch(name) else name for name in names]
-
-
-def _read_statements(above: Sequence[str], header: dict[str, object], words: Vocabulary) -> None:
-    """Add statements above the names, such as `speed_m_s,0.21`, to `header`; others are ignored."""
-    for row in above:
-        if (found := _METADATA.fullmatch(row)) and found[1] in words.header:
-            header[found[1]] = _scalar(found[2])
-
-
-def _with_units(names: Sequence[str], units: Sequence[str]) -> list[str]:
-    return [f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)]
 
 
 def _units_of(cells: Sequence[str], columns: int) -> list[str]:
@@ -318,26 +280,6 @@ def _units_of(cells: Sequence[str], columns: int) -> list[str]:
     inside = [found[1] for cell in cells if (found := _UNIT_CELL.fullmatch(cell))]
     units = inside if len(inside) == len(cells) else [cell for cell in cells if is_unit(cell)]
     return units if len(units) == len(cells) == columns else []
-
-
-def _read_header_line(number: int, line: str, header: dict[str, object], words: Vocabulary) -> None:
-    """Add `# key: value` to `header`; a remark that happens to contain a colon is ignored."""
-    found = _HEADER_LINE.fullmatch(line)
-    key, value = found.groups() if found else ("", "")
-    value = _scalar(value)
-    if key in header:
-        raise InputError(f"row {number}: {key} is stated a second time; keep one of the lines")
-    if key in words.header:
-        header[key] = value
-    elif words.is_meant(key):
-        known = f"known: {', '.join(words.header)}"
-        raise InputError(f"row {number}: unknown header key {quote(key)}; {known}; correct or reword it")
-
-
-def _scalar(value: str) -> str:
-    """A number in a file's head, without the delimiters that spreadsheets pad rows with."""
-    value = value.rstrip(";, \t")
-    return value.replace(",", ".") if _DECIMAL_COMMA.fullmatch(value) else value
 
 
 def delimiter_of(line: str) -> str | None:

@@ -16,6 +16,7 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
+from transopt.files.names import MOST_CHOICES, quote
 from transopt.files.units import UNITS, likely_units
 
 Answer = Mapping[str, Any]
@@ -125,6 +126,32 @@ def toml(value: object) -> str:
         )
         return f"{{ {', '.join(f'{key} = {toml(one)}' for key, one in pairs)} }}"
     return json.dumps(value)
+
+
+def chosen_channel(channel: int | None, labels: Sequence[str], what: str) -> int:
+    """Index of the channel that the user states, or of the only one.
+
+    Parameters
+    ----------
+    channel : counted from 1; None if the user states none.
+    labels : what the file says of each channel, empty for nothing.
+    what : name of the channels in messages, in the plural.
+
+    Raises
+    ------
+    InputError : the file does not have this channel.
+    UnclearError : it has several, and none is stated.
+    """
+    count = len(labels)
+    if channel is None and count > 1:
+        listed = ", ".join(f"{k} {quote(label)}" for k, label in enumerate(labels[:MOST_CHOICES], 1) if label)
+        raise UnclearError(
+            f"{count} {what}, and which is the acceleration's is not stated{listed and f': {listed}'}",
+            [{"channel": k + 1} for k in range(min(count, MOST_CHOICES))],
+        )
+    if channel is not None and not 1 <= channel <= count:
+        raise InputError(f"--channel {channel}: the file has {count} {what}; choose 1 to {count}")
+    return (channel or 1) - 1
 
 
 def guesses(

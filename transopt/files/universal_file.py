@@ -14,9 +14,9 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.base.sizes import MOST_ROWS
-from transopt.files.containers import Channels, labelled
-from transopt.files.names import MOST_CHOICES, Layout, Vocabulary, quantity_of, quote
-from transopt.files.unclear import UnclearError
+from transopt.files.containers import Channels
+from transopt.files.names import Layout, Vocabulary, labelled, quantity_of, quote
+from transopt.files.unclear import UnclearError, chosen_channel
 from transopt.files.units import UNITS, input_unit, parts
 
 TIME_RESPONSE, FREQUENCY_RESPONSE = 1, 4  # function types of record 6
@@ -123,15 +123,7 @@ def _chosen(functions: Sequence[_Dataset], channel: int | None, *, is_response: 
     found = [each for each in functions if _whole(each.lines, 5, 0, 5, "function type") == wanted]
     if not found:
         raise InputError(f"0 {what} responses in {len(functions)} datasets 58; export one of the acceleration")
-    if channel is None and len(found) > 1:
-        listed = ", ".join(f"{k} {quote(each.lines[0])}" for k, each in enumerate(found[:MOST_CHOICES], 1))
-        raise UnclearError(
-            f"{len(found)} {what} responses, and which is the acceleration's is not stated: {listed}",
-            [{"channel": k + 1} for k in range(min(len(found), MOST_CHOICES))],
-        )
-    if channel is not None and channel > len(found):
-        raise InputError(f"--channel {channel}: the file has {len(found)} {what} responses; choose 1 to {len(found)}")
-    return found[(channel or 1) - 1]
+    return found[chosen_channel(channel, [each.lines[0] for each in found], f"{what} responses")]
 
 
 def _datasets(data: bytes) -> list[_Dataset]:

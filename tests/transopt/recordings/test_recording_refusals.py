@@ -259,7 +259,7 @@ def test_bad_wav(tmp_path: Path) -> None:
     stereo = np.stack([TAP_M_S2, TAP_M_S2], axis=1)
     assert "for example --channel 1 (in a scene recordings.channel = 1)" in wav_refusal(wav(stereo))
     options = {"full_scale_m_s2": 10.0, "channel": 3}
-    assert refusal(tmp_path, wav(stereo), ".wav", **options).startswith("--channel 3: the file has 2; choose 1 to 2")
+    assert refusal(tmp_path, wav(stereo), ".wav", **options).startswith("--channel 3: the file has 2 channels")
     assert wav_refusal(b"not a wave file").startswith("not a readable WAV file (")
     assert "Reached EOF prematurely" in wav_refusal(VALID[".wav"][:-80])
     assert "column time_s: nan: must be finite" in wav_refusal(wav(TAP_M_S2, rate_Hz=0))

@@ -1,13 +1,22 @@
-"""The sample rate of a file without times, as stated in its head, its remarks or its scalar variables."""
+"""What a file states in words: lines of a name, a value and a unit above, below and beside its numbers.
+
+They hold the scalars of a header, such as `# speed_m_s: 0.21`, units and sources of columns, such as
+`Vertical Units,V`, and the sample rate of a file without times.
+"""
 
 import math
 import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from transopt.files.names import quote
-from transopt.files.units import read_unit
+from transopt.files.names import Vocabulary, apart, labelled, quote
+from transopt.files.units import is_unit, read_unit
 
+REMARKS: tuple[str, ...] = ("#", "*", "%", "//")
+DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # a single number contains no other comma
+_STATEMENT = re.compile(r"([#*%/;\"\s]*)([A-Za-z][\w -]*?)[\s\":]*([:=,;\t]+)\s*(.*)")
+_UNITS_OF_VALUES = ("verticalunits", "yunitlabel", "yunits", "vunit", "units")  # as instruments call them
+_UNITS_OF_TIMES = ("horizontalunits", "xunits", "hunit")
 # What precedes and follows a number: an optional unit in brackets, a mark, and an optional unit.
 _VALUE = (
     r"\s*(?:[\[(]\s*(?P<before>[a-zµ/]+)\s*[\])])?\s*[:=,;\t ]+\s*(?P<number>[-+]?\d+(?:[.,]\d+)?(?:e[-+]?\d+)?)"
@@ -22,6 +31,53 @@ _STATED = {of: re.compile(names + _VALUE, re.IGNORECASE) for of, names in (("fre
 _START = re.compile(r"(?:t?start|x[ _]?0|t[ _]?0)\w* *[:=] *([-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?)", re.IGNORECASE)
 _GROUPED = re.compile(r"\d{1,3},\d{3}")
 _SAMPLES = re.compile(r"sp?s|sa?/s|", re.IGNORECASE)  # samples per second, or nothing after a k
+
+
+def stated_in(line: str, words: Vocabulary) -> dict[str, str]:
+    """The scalar that a line states, by its name; also one of a remark that must mean a scalar but is unknown.
+
+    Remarks use a colon or an equals sign, because they may hold commas; metadata lines use delimiters as well. A
+    number loses its decimal comma, and the delimiters that spreadsheets pad rows with.
+    """
+    found = _STATEMENT.fullmatch(line)
+    if found is None:
+        return {}
+    _, key, sign, value = found.groups()
+    is_remark = line.startswith((*REMARKS, ";"))
+    if (is_remark and sign[0] not in ":=") or not (key in words.header or (is_remark and words.is_meant(key))):
+        return {}
+    value = value.rstrip(";, \t")
+    return {key: value.replace(",", ".") if DECIMAL_COMMA.fullmatch(value) else value}
+
+
+def described(names: Sequence[str], width: int, notes: Sequence[str]) -> list[str]:
+    """The column names, with sources and units that an instrument notes elsewhere in the file.
+
+    Parameters
+    ----------
+    width : number of cells in a row of numbers.
+    notes : lines such as `Vertical Units,V`.
+    """
+    stated = {
+        re.sub(r"[\s_-]", "", found[2].lower()): re.split(r"\s*[,;\t]\s*", found[4].replace('"', ""))
+        for found in filter(None, map(_STATEMENT.fullmatch, notes))
+    }
+    units = next((stated[key] for key in _UNITS_OF_VALUES if key in stated), [])
+    sources = [each for key in ("source", "tracename") for each in stated.get(key, []) if each]
+    of_times = next((stated[key][0] for key in _UNITS_OF_TIMES if key in stated), "")
+    if not names and sources and width in (len(sources), len(sources) + 1):
+        names = [*["TIME"] * (width - len(sources)), *sources]
+    elif not names and units and width == 1:
+        names = ["values"]
+    found, used = list[str](), 0
+    for at, name in enumerate(names):
+        is_time = at == 0 and width > 1
+        unit = of_times if is_time else ""
+        if not is_time and used < len(units) and name != "X_Value":  # LabVIEW repeats it for each channel
+            unit, used = units[used].rpartition(":")[2], used + 1
+        called = sources[at - 1] if name == "Value" and 0 < at <= len(sources) else name
+        found.append(labelled(called, unit) if is_unit(unit) and not is_unit(apart(called)[1] or "") else called)
+    return found
 
 
 class Rate(NamedTuple):
