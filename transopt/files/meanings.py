@@ -72,7 +72,7 @@ def meaning(name: str, words: Vocabulary, units: Mapping[str, str]) -> Meaning:
             raise UnclearError(f"{problem} without the sensitivity of the sensor", answers)
         problem = f"{problem}; known: {', '.join(known_units(quantity))}{remedy_of(stated)}"
         if user is None and not remedy_of(stated):  # a range such as X (100g), or a unit such as "g rms"
-            likely, below = likely_units(quantity), parts(label)[1]
+            likely, below = likely_units(quantity, label), parts(label)[1]
             of_input = [each for each in likely if below and parts(each)[1] == below]
             raise UnclearError(problem, [{"units": {quantity: each}} for each in of_input or likely])
         raise InputError(problem)

@@ -43,6 +43,7 @@ NAMED_UNITS = {
 }
 STEMS = ("linear acceleration", "acceleration", "accelerometer", "accel", "acc", "a", "gf")
 INITIALS = {"a": "acceleration"}  # mean a quantity only beside its unit; a channel A in volts may be any
+LOADS = ("load", "load cell", "loadcell", "weight", "thrust")  # mean a force only beside a unit of force
 # Words in the name of a column in g that suggest grams, a weight, rather than an acceleration.
 WEIGHED = frozenset(
     ("load", "loadcell", "cell", "weight", "mass", "scale", "balance", "gram", "grams", "force", "thrust", "hx")
@@ -277,8 +278,10 @@ def _quantity_called(base: str, quantities: Iterable[str]) -> str | None:
 def quantity_of(name: str, words: Vocabulary) -> str | None:
     """The quantity that a column's name means, with or without a unit; None if it means none."""
     base, unit = apart(name)
-    initial = INITIALS.get(base.lower()) if unit and not is_electrical(unit) else None
-    return initial if initial in words.quantities else called_quantity(base, words)
+    beside = INITIALS.get(base.lower()) if unit and not is_electrical(unit) else None
+    if unit and _small(base) in LOADS and read_unit(unit, "force"):
+        beside = "force"
+    return beside if beside in words.quantities else called_quantity(base, words)
 
 
 def axis_of(name: str) -> str:
@@ -343,7 +346,7 @@ def _unit_in_word(name: str, at: int) -> tuple[str, str] | None:
     of = (
         quantity
         for quantity, names in ALIASES.items()
-        if small in (quantity, *names) or INITIALS.get(small) == quantity
+        if small in (quantity, *names) or INITIALS.get(small) == quantity or (quantity == "force" and small in LOADS)
     )
     return (base, unit) if any(read_unit(unit, quantity) for quantity in of) else None
 
@@ -363,6 +366,11 @@ def lacks_unit(name: str, words: Vocabulary, units: Mapping[str, str]) -> bool:
     base, label = apart(name)
     quantity = None if label or name in words.columns else called_quantity(base, words)
     return quantity is not None and stated_unit(name, quantity, units) is None
+
+
+def labelled(name: str, unit: object) -> str:
+    """A name with its unit in brackets, if there is one."""
+    return f"{name} [{unit}]" if isinstance(unit, str) and unit.strip() else name
 
 
 def quote(text: str) -> str:

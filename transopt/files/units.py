@@ -34,7 +34,10 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     },
     "velocity": {"m/s": 1.0, "mm/s": 1e-3, "um/s": 1e-6},
     "position": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6},
-    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
+    "force": {
+        **{"N": 1.0, "mN": 1e-3, "kN": 1e3},
+        **{"gf": 1e-3 * STANDARD_GRAVITY_M_S2, "kgf": STANDARD_GRAVITY_M_S2},  # weights of a gram and a kilogram
+    },
     "current": _CURRENT,
     "command": _CURRENT,
     "voltage": {"V": 1.0, "mV": 1e-3, "uV": 1e-6},
@@ -61,7 +64,11 @@ _WORD = re.compile(
     re.IGNORECASE,
 )
 _SYMBOLS = {"sec": "s", "volt": "V", "amp": "A", "hertz": "Hz", "newton": "N", "met": "m"}
-_SPELT = {"gn": "g", "g_n": "g", "g0": "g"}
+_SPELT = {
+    **dict.fromkeys(("gn", "g_n", "g0"), "g"),
+    **dict.fromkeys(("gram-force", "gram force", "g-f"), "gf"),
+    **dict.fromkeys(("kilogram-force", "kilogram force", "kg-f", "kp"), "kgf"),
+}
 _BRACKETS = re.compile(r"\(([^()]*)\)")
 _PER_SECOND_TWICE = re.compile(r"(/s/s|[ _]?s-2|_s2)$", re.IGNORECASE)
 _PER_SECOND = re.compile(r"_s$", re.IGNORECASE)
@@ -207,7 +214,13 @@ def known_units(quantity: str) -> list[str]:
     return (ratios if quantity in RATIOS else []) + list(UNITS[quantity])
 
 
-def likely_units(quantity: str) -> list[str]:
-    """Likely units of a column without one; for an acceleration also volts and counts of common sensors."""
+def likely_units(quantity: str, label: str = "") -> list[str]:
+    """Likely units of a column, for an acceleration also volts and counts of common sensors.
+
+    Parameters
+    ----------
+    label : what the file says in place of a unit; a mass is likely the force of its weight.
+    """
     sensors = [*sensed("V")[:3], *sensed("mV")[:3], *sensed("LSB")] if quantity == "acceleration" else []
-    return [*known_units(quantity)[: MOST_LIKELY.get(quantity, 6)], *sensors]
+    units = [*known_units(quantity)[: MOST_LIKELY.get(quantity, 6)], *sensors]
+    return sorted(units, key=lambda unit: unit != f"{label}f")

@@ -23,6 +23,8 @@ SPELLINGS = {
     ("time", 1e-3): "ms,MS,msec,milliseconds",
     ("time", 1e-6): "us,µs,usec,microseconds",
     ("force", 1.0): "N,Newton,newtons",
+    ("force", 1e-3 * G): "gf,gram-force,gram force",
+    ("force", G): "kgf,kp,kilogram-force",
     ("phase", math.pi / 180): "deg,DEG,°,degrees",
 }
 
@@ -45,7 +47,8 @@ def test_every_unit_that_a_message_names_is_read(quantity: str) -> None:
     [
         ("voltage", "MV,A,megavolts,,ohm"),
         ("current", "MA,kV"),
-        ("force", "MN,g"),
+        ("force", "MN,g,kg,mgf"),
+        ("acceleration", "gf,kgf"),
         ("frequency", "MHz,mHz,rpm"),
         ("acceleration", "m/s,furlong,g/V,m/s^3,Mg"),
         ("magnitude", "s/V,g/N,g/MV,V,/V,g/"),

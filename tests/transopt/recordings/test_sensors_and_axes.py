@@ -15,7 +15,8 @@ from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
 from transopt.base.signals import FloatArray
 from transopt.files import containers
 from transopt.files.names import Layout, stated_units
-from transopt.files.units import read_unit
+from transopt.files.unclear import UnclearError
+from transopt.files.units import UNITS, read_unit
 from transopt.identify.response import read_response
 from transopt.recordings.axes import joined, without_turning
 from transopt.recordings.recording import load_recording
@@ -240,6 +241,49 @@ def test_the_slope_of_a_velocity_is_an_acceleration(tmp_path: Path) -> None:
     assert recording.notes == ("the acceleration is the slope of the velocity",)
     message = refusal(tmp_path, content.replace("velocity", "acc"))
     assert message.endswith("that is a velocity: name the column so, velocity for example")
+
+
+# ---- load cells -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "newton"),
+    [
+        ("load [gf]", 1e-3 * G),
+        ("load_gf", 1e-3 * G),
+        ("Load cell (kgf)", G),
+        ("thrust (N)", 1.0),
+        ("Force [kp]", G),
+    ],
+)
+def test_a_load_cell_gives_a_force_beside_a_unit_of_force(tmp_path: Path, name: str, newton: float) -> None:
+    path = tmp_path / "tap.csv"
+    path.write_text(f"time_s,acc_g,{name}\n" + text(TIMES_S, TAP_M_S2 / G, 5 + TAP_M_S2))
+    found = load_recording(path).force
+    assert found is not None
+    np.testing.assert_allclose(found.values, newton * (5 + TAP_M_S2), rtol=1e-6)
+
+
+@pytest.mark.parametrize(("label", "meant"), [("g", "gf"), ("kg", "kgf")])
+def test_a_force_in_a_unit_of_mass_is_asked_about_and_its_weight_comes_first(
+    tmp_path: Path, label: str, meant: str
+) -> None:
+    path = tmp_path / "tap.csv"
+    path.write_text(f"time_s,acc_g,force [{label}]\n" + text(TIMES_S, TAP_M_S2 / G, 5 + TAP_M_S2))
+    with pytest.raises(UnclearError, match=f"'{label}' is no unit of force") as refused:
+        load_recording(path)
+    assert refused.value.answers[0] == {"units": {"force": meant}}
+    found = load_recording(path, Layout(**refused.value.answers[0])).force
+    assert found is not None
+    np.testing.assert_allclose(found.values, UNITS["force"][meant] * (5 + TAP_M_S2), rtol=1e-6)
+
+
+def test_a_load_in_grams_is_no_force_and_said_so(tmp_path: Path) -> None:
+    path = tmp_path / "tap.csv"
+    path.write_text("time_s,acc_g,load [g]\n" + text(TIMES_S, TAP_M_S2 / G, 5 + TAP_M_S2))
+    found = load_recording(path)
+    assert found.force is None
+    assert any("'load [g]' not used" in note for note in found.notes)
 
 
 # ---- files of other programs ------------------------------------------------------------------------------
