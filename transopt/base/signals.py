@@ -92,6 +92,10 @@ class Signal:
         found[begin:end] = spline_even(self.values, place, step_s / self.dt_s, end - begin)
         return found
 
+    def part(self, first: int, end: int) -> "Signal":
+        """The samples from `first` up to `end`, at their own times."""
+        return replace(self, start_s=self.start_s + first * self.dt_s, values=self.values[first:end])
+
     def scaled(self, factor: float) -> "Signal":
         """The signal with all its values multiplied by `factor`."""
         return replace(self, values=factor * self.values)

@@ -34,15 +34,13 @@ from transopt.files.names import (
     Vocabulary,
     apart,
     labelled,
-    lacking,
-    quantity_of,
     quote,
     stated_for,
     with_axes,
 )
-from transopt.files.raw_table import LARGEST, RawTable, check_size, without_times
+from transopt.files.raw_table import LARGEST, RawTable, check_size
 from transopt.files.statements import Rate, rate_of
-from transopt.files.text import is_untimed, read_text, text_columns, untimed
+from transopt.files.text import read_text, text_columns, untimed
 from transopt.files.unclear import Answer, UnclearError, chosen_channel, options
 from transopt.files.units import is_unit, known_units, read_unit
 from transopt.files.universal_file import universal_columns
@@ -74,7 +72,7 @@ def read_raw(suffix: str, data: bytes, layout: Layout, words: Vocabulary) -> Raw
     words = words.knowing(layout.units or {})
     stated = None if layout.rate_Hz is None else Rate(1 / layout.rate_Hz)
     if stated is not None:
-        words = without_times(words)
+        words = words.without_times()
     raw, rate = _read(suffix, data, layout, words)
     rate = stated or rate
     return raw if rate is None else raw.timed(rate)
@@ -163,11 +161,11 @@ def _from_variables(found: Channels, layout: Layout, words: Vocabulary) -> tuple
     The columns, and the sample rate that the file states in place of times.
     """
     units, reads = layout.units or {}, _parted(found.values, words)
-    if words.lacks(reads):
+    if words.absent(reads):
         words = words.labelled(list(numeric(reads)))
     rate = None
-    if is_untimed(reads, words) and (rate := found.rate or rate_of([], _scalars(reads))):
-        words = without_times(words)
+    if "time" in words.absent(reads) and (rate := found.rate or rate_of([], _scalars(reads))):
+        words = words.without_times()
     chosen = layout.columns or _chosen(reads, words, units)
     wanted = [name for name in untimed(chosen, layout, words) if name != SKIPPED]
     known = meanings(wanted, words, units, list(reads), lambda: numeric(reads))
@@ -196,15 +194,15 @@ def _chosen(reads: Mapping[str, Callable[[], object]], words: Vocabulary, units:
     UnclearError : the unit of a response is not stated.
     """
     candidates = [name for name in reads if name not in words.header]
-    known = [name for name in candidates if quantity_of(name, words) is not None]
+    known = [name for name in candidates if words.quantity_of(name) is not None]
     chosen = [name for name in candidates if words.is_meant(name) or apart(name)[1] or stated_for(name, words, units)]
     if not set(chosen) <= set(known):
         vectors = numeric(reads)
         chosen = [name for name in chosen if name in known or name in vectors]
     if "magnitude" in words.quantities:
         _refuse_unstated(reads, [name for name in candidates if name not in chosen], words, chosen)
-    if chosen and (absent := lacking({quantity_of(name, words) for name in chosen}, words)):
-        chosen += [name for name in numeric(reads) if quantity_of(name, words) in absent]
+    if chosen and (absent := words.absent(chosen)):
+        chosen += [name for name in numeric(reads) if words.quantity_of(name) in absent]
     # If no name has a unit, names with a meaning are returned, and their units are asked for.
     return chosen or known or candidates
 
@@ -243,7 +241,7 @@ def _refuse_unstated(
     ------
     UnclearError : one of the arrays is complex.
     """
-    is_known = any(quantity_of(name, words) == "frequency" for name in chosen)
+    is_known = any(words.quantity_of(name) == "frequency" for name in chosen)
     for name in names:
         with guarded(f"variable {name} is not readable", _SAVE_NPZ):
             found = np.iscomplexobj(np.asarray(reads[name]()))
@@ -265,7 +263,7 @@ def _parted(named: Mapping[str, object], words: Vocabulary) -> dict[str, Callabl
         above, _, last = name.rpartition(".")
         key = last if short[last] == 1 else name
         unit = next((named[at] for of in UNIT_FIELDS if (at := f"{above}.{of}".strip(".")) in named), "")
-        is_other = isinstance(unit, str) and quantity_of(key, words) == "time" and read_unit(unit, "time") is None
+        is_other = isinstance(unit, str) and words.quantity_of(key) == "time" and read_unit(unit, "time") is None
         if isinstance(unit, str) and is_unit(unit) and apart(key)[1] is None and not is_other:
             key = labelled(key, unit)
         found[key] = partial(named.__getitem__, name)
@@ -275,7 +273,7 @@ def _parted(named: Mapping[str, object], words: Vocabulary) -> dict[str, Callabl
             values = np.asarray(named[name])
         rows = values if values.ndim == 2 and values.shape[0] < values.shape[1] else values.T
         if values.ndim == 2 and values.dtype.kind in "iuf" and 1 < rows.shape[0] <= MOST_CHOICES < rows.shape[1]:
-            is_sensor = rows.shape[0] == len(_AXES) and quantity_of(key, words) == "acceleration"
+            is_sensor = rows.shape[0] == len(_AXES) and words.quantity_of(key) == "acceleration"
             base, unit = apart(key)
             del found[key]
             columns = _AXES if is_sensor else map(str, range(1, rows.shape[0] + 1))

@@ -21,9 +21,7 @@ from transopt.files.names import (
     axis_of,
     is_weighed,
     keys_of,
-    lacking,
     lacks_unit,
-    quantity_of,
     quote,
     stated_unit,
 )
@@ -57,7 +55,7 @@ def meaning(name: str, words: Vocabulary, units: Mapping[str, str]) -> Meaning:
     ------
     InputError : the unit is not one of the quantity.
     """
-    quantity = quantity_of(name, words)
+    quantity = words.quantity_of(name)
     assert quantity is not None
     user, label = stated_unit(name, quantity, units), apart(name)[1] or ""
     own = read_unit(label, quantity) if label or name not in words.columns else Unit(1.0)
@@ -86,7 +84,7 @@ def meaning(name: str, words: Vocabulary, units: Mapping[str, str]) -> Meaning:
 
 def _unknown(names: Sequence[str], words: Vocabulary, seen: Seen) -> UnclearError:
     """The question about columns without a meaning, or about a missing quantity, with possible answers."""
-    unknown = [name for name in names if name != SKIPPED and quantity_of(name, words) is None]
+    unknown = [name for name in names if name != SKIPPED and words.quantity_of(name) is None]
     electrical = {base: unit for base, unit in map(apart, unknown) if unit and is_electrical(unit)}
     acceleration = "acceleration" in words.quantities
     if electrical and acceleration:
@@ -95,8 +93,7 @@ def _unknown(names: Sequence[str], words: Vocabulary, seen: Seen) -> UnclearErro
         return UnclearError(
             problem, [{"units": {base: each}} for base, unit in electrical.items() for each in sensed(unit)]
         )
-    present = {quantity_of(name, words) for name in names}
-    absent = lacking(present, words)
+    absent = words.absent(names)
     weighed = [apart(name) for name in unknown if is_weighed(name)]
     if weighed and acceleration and "acceleration" in absent:
         problem = f"column {quote(weighed[0][0])} may hold grams of a load cell, and no other is an acceleration's"
@@ -149,9 +146,9 @@ def meanings(
     unused = [key for key in units if key not in own]
     if unused:
         raise InputError(f"--units {unused[0]}: no column of that name; the file has {present}")
-    if any(quantity_of(name, words) is None for name in used):
+    if any(words.quantity_of(name) is None for name in used):
         raise _unknown(used if found else names, words, seen)
-    for quantity in lacking({quantity_of(name, words) for name in used}, words):
+    for quantity in words.absent(used):
         if quantity == "time":
             raise _untimed(found or names, words)
         choice = " or ".join(words.names_of(quantity))
@@ -185,7 +182,7 @@ def one_clock(
     column : returns the numbers (n,) of a column by its index.
     said : receives a sentence that names the column kept.
     """
-    rivals = [at for at, name in enumerate(names) if quantity_of(name, words) == "time"]
+    rivals = [at for at, name in enumerate(names) if words.quantity_of(name) == "time"]
     factors = dict[int, float]()
     for at in rivals if len(rivals) > 1 else ():
         with suppress(InputError):
@@ -206,10 +203,10 @@ def _refuse_unstated(without: Sequence[str], words: Vocabulary, seen: Seen) -> N
     ------
     UnclearError : at least one column lacks a unit.
     """
-    wanted = list(dict.fromkeys(quantity_of(name, words) or name for name in without))
+    wanted = list(dict.fromkeys(words.quantity_of(name) or name for name in without))
     if wanted:
         table = seen()
-        of = {quantity_of(name, words): values for name in without if (values := table.get(name)) is not None}
+        of = {words.quantity_of(name): values for name in without if (values := table.get(name)) is not None}
         likely = {quantity: usual_first(likely_units(quantity), of.get(quantity, np.zeros(1))) for quantity in wanted}
         if "time" in of:
             likely["time"] = times_in(of["time"]) or likely["time"]
@@ -224,7 +221,7 @@ def _refuse_unstated(without: Sequence[str], words: Vocabulary, seen: Seen) -> N
 def _refuse_rivals(used: Sequence[str], names: Sequence[str], present: str, words: Vocabulary) -> None:
     """Refuse several columns of one quantity, except the axes of a sensor; the error lists the choices."""
     for quantity in words.quantities:
-        rivals = [at for at, name in enumerate(names) if name in used and quantity_of(name, words) == quantity]
+        rivals = [at for at, name in enumerate(names) if name in used and words.quantity_of(name) == quantity]
         several = {axis_of(names[at]) for at in rivals}
         if len(rivals) > 1 and ("" in several or len(several) < len(rivals)):
             kept = [

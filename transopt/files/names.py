@@ -13,7 +13,7 @@ A unit is never guessed from the values: g and m/s^2, both common for an acceler
 """
 
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -146,17 +146,33 @@ class Vocabulary:
         # A unit of a response is that of its magnitude; `formats` splits a complex array into real and imaginary
         # part.
         clear = {name: of[0] for name, of in own.items() if len(of) == 1 or (of and set(of) <= set(RATIOS))}
-        called = {name: of for name, of in clear.items() if quantity_of(name, self) is None}
+        called = {name: of for name, of in clear.items() if self.quantity_of(name) is None}
         return replace(self, called=called) if called else self
 
-    def lacks(self, names: Iterable[str]) -> bool:
-        """Whether a required quantity is missing among these names."""
-        return bool(lacking({quantity_of(name, self) for name in names}, self))
+    def quantity_of(self, name: str) -> str | None:
+        """The quantity that a column's name means, with or without a unit; None if it means none."""
+        base, unit = apart(name)
+        beside = INITIALS.get(base.lower()) if unit and not is_electrical(unit) else None
+        if unit and _small(base) in LOADS and read_unit(unit, "force"):
+            beside = "force"
+        if beside in self.quantities:
+            return beside
+        return self.called.get(base) or _quantity_called(base, self.quantities)
+
+    def absent(self, names: Iterable[str]) -> list[str]:
+        """Required quantities that none of the names means; an acceleration may be the slope of a velocity."""
+        present = {self.quantity_of(name) for name in names}
+        slope = {"acceleration"} if "velocity" in present else set()
+        return [of for of in self.required if of not in present | slope]
+
+    def without_times(self) -> "Vocabulary":
+        """This vocabulary for files whose times follow from a rate: times are not required."""
+        return replace(self, required=tuple(of for of in self.required if of != "time"))
 
     def labelled(self, names: Sequence[str]) -> "Vocabulary":
         """This vocabulary with names for missing required quantities, found by unit or by one of their words."""
-        absent = lacking({quantity_of(name, self) for name in names}, self)
-        own = [apart(name) for name in names if quantity_of(name, self) is None and not is_weighed(name)]
+        absent = self.absent(names)
+        own = [apart(name) for name in names if self.quantity_of(name) is None and not is_weighed(name)]
         called = {base: of for of in absent for base, unit in own if unit and read_unit(unit, of)}
         for base, unit in own:
             spoken = [of for of in absent if _words(base) & {of, *ALIASES[of]}]
@@ -173,7 +189,7 @@ class Vocabulary:
 
     def names_of(self, quantity: str) -> list[str]:
         """The project's own names of a quantity."""
-        return [name for name in self.columns if quantity_of(name, self) == quantity]
+        return [name for name in self.columns if self.quantity_of(name) == quantity]
 
     def is_meant(self, name: str) -> bool:
         """Whether a name ends in a unit, so that it must mean a quantity, even if misspelt."""
@@ -263,25 +279,9 @@ def split_names(line: str, *, by_blanks: bool = True) -> list[str]:
     return [cell.strip() for cell in line.rstrip(";, \t").split(mark)]
 
 
-def called_quantity(base: str, words: Vocabulary) -> str | None:
-    """The quantity that a name without unit means; None if it means none."""
-    if base in words.called:
-        return words.called[base]
-    return _quantity_called(base, words.quantities)
-
-
 def _quantity_called(base: str, quantities: Iterable[str]) -> str | None:
     spelt = {base.strip().lower().replace("_", " "), _small(base)}
     return next((of for of in quantities if spelt & {of, *ALIASES[of]}), None)
-
-
-def quantity_of(name: str, words: Vocabulary) -> str | None:
-    """The quantity that a column's name means, with or without a unit; None if it means none."""
-    base, unit = apart(name)
-    beside = INITIALS.get(base.lower()) if unit and not is_electrical(unit) else None
-    if unit and _small(base) in LOADS and read_unit(unit, "force"):
-        beside = "force"
-    return beside if beside in words.quantities else called_quantity(base, words)
 
 
 def axis_of(name: str) -> str:
@@ -302,24 +302,18 @@ def spared(names: Sequence[str], words: Vocabulary, said: list[str]) -> list[str
     ----------
     said : receives a sentence that names the columns skipped.
     """
-    idle = [name for name in names if quantity_of(name, words) is None and not words.is_meant(name)]
+    idle = [name for name in names if words.quantity_of(name) is None and not words.is_meant(name)]
     idle = [name for name in idle if name != SKIPPED]
-    if not idle or lacking({quantity_of(name, words) for name in names}, words):
+    if not idle or words.absent(names):
         return list(names)
     plural = "s" if len(idle) > 1 else ""
     said.append(f"column{plural} {quote(', '.join(idle))} not used: nothing here goes by such a name")
     return [SKIPPED if name in idle else name for name in names]
 
 
-def lacking(present: Collection[str | None], words: Vocabulary) -> list[str]:
-    """Required quantities that are missing; a velocity replaces the acceleration, which is its derivative."""
-    lacking = [of for of in words.required if of not in present]
-    return [of for of in lacking if of != "acceleration" or "velocity" not in present]
-
-
 def stated_for(name: str, words: Vocabulary, units: Mapping[str, str]) -> bool:
     """Whether the user states a unit for a name with a known quantity."""
-    quantity = called_quantity(apart(name)[0], words)
+    quantity = words.quantity_of(name)
     return quantity is not None and stated_unit(name, quantity, units) is not None
 
 
@@ -363,8 +357,7 @@ def keys_of(name: str) -> tuple[str, ...]:
 
 
 def lacks_unit(name: str, words: Vocabulary, units: Mapping[str, str]) -> bool:
-    base, label = apart(name)
-    quantity = None if label or name in words.columns else called_quantity(base, words)
+    quantity = None if apart(name)[1] or name in words.columns else words.quantity_of(name)
     return quantity is not None and stated_unit(name, quantity, units) is None
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.base.sizes import MOST_ROWS
-from transopt.files.names import Meaning, Vocabulary
+from transopt.files.names import Meaning
 from transopt.files.statements import Rate
 
 LARGEST = 1e12  # in any SI unit: beyond every instrument, yet its square and its slope do not overflow a float
@@ -54,11 +54,6 @@ class RawTable:
         meanings = {"time_s": Meaning("time", 1.0), **self.meanings}
         columns = {"time_s": times_s, **self.columns}
         return replace(self, columns=columns, meanings=meanings, notes=(*filter(None, [rate.note]), *self.notes))
-
-
-def without_times(words: Vocabulary) -> Vocabulary:
-    """The vocabulary for files whose times follow from a rate: times are not required."""
-    return replace(words, required=tuple(of for of in words.required if of != "time"))
 
 
 def check_size(samples: int) -> None:

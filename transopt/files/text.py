@@ -3,7 +3,7 @@
 import math
 import re
 from array import array
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -12,8 +12,8 @@ import scipy
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.files.meanings import meanings, one_clock
-from transopt.files.names import SKIPPED, Layout, Vocabulary, apart, labelled, quantity_of, quote, spared, with_axes
-from transopt.files.raw_table import MIN_SAMPLES, RawTable, without_times
+from transopt.files.names import SKIPPED, Layout, Vocabulary, apart, labelled, quote, spared, with_axes
+from transopt.files.raw_table import MIN_SAMPLES, RawTable
 from transopt.files.statements import Rate, rate_of
 from transopt.files.text_rows import cells_of, delimiter_of, parted_text, with_points
 from transopt.files.unclear import UnclearError, guesses
@@ -46,15 +46,15 @@ def read_text(data: bytes, layout: Layout, words: Vocabulary) -> tuple[RawTable,
     units = layout.units or {}
     names = untimed(_chosen(layout.columns, found, words) if layout.columns else found, layout, words)
     for k, (name, cell) in enumerate(zip(names, cells_of(rows[0]) if rows else [], strict=False)):
-        if not cell and quantity_of(name, words) == "time":
+        if not cell and words.quantity_of(name) == "time":
             names[k] = SKIPPED  # a column of times without cells, as in LabVIEW's text
     words = words.labelled(names)
     at, clock = _clock_of(rows, names, layout, words)
     if clock is not None:
         names[at] = "time_s"  # overrides what the user or the file states about a time of day
-    rate = rate_of(head, told) if is_untimed(names, words) else None
+    rate = rate_of(head, told) if "time" in words.absent(names) else None
     if rate is not None:
-        words = without_times(words)
+        words = words.without_times()
     said = list[str]()
     if footer:
         said.append(f"what stands below the numbers from {quote(footer[0])} on is left out")
@@ -108,8 +108,8 @@ def _clock_of(
     """Index and seconds of a column of dates or times of day: one that means the time, or has no known meaning."""
     if layout.rate_Hz or "time" not in words.required:
         return 0, None
-    timed = [at for at, name in enumerate(names) if name != SKIPPED and quantity_of(name, words) == "time"]
-    for at in timed or [at for at, name in enumerate(names) if name != SKIPPED and quantity_of(name, words) is None]:
+    timed = [at for at, name in enumerate(names) if name != SKIPPED and words.quantity_of(name) == "time"]
+    for at in timed or [at for at, name in enumerate(names) if name != SKIPPED and words.quantity_of(name) is None]:
         if (times := _clocked(rows, at)) is not None:
             return at, times
     return 0, None
@@ -140,19 +140,14 @@ def _chosen(columns: Sequence[str], found: Sequence[str], words: Vocabulary) -> 
         return list(columns)
     units = [apart(name)[1] for name in found]
     return [
-        labelled(name, unit) if quantity_of(name, words) is not None and not apart(name)[1] else name
+        labelled(name, unit) if words.quantity_of(name) is not None and not apart(name)[1] else name
         for name, unit in zip(columns, units, strict=True)
     ]
 
 
-def is_untimed(names: Collection[str], words: Vocabulary) -> bool:
-    """Whether times are required and none of the names means them."""
-    return "time" in words.required and not any(quantity_of(name, words) == "time" for name in names)
-
-
 def untimed(names: Sequence[str], layout: Layout, words: Vocabulary) -> list[str]:
     """The names, with columns of times skipped if the user states the rate: they may be dates, or repeat."""
-    return [SKIPPED if layout.rate_Hz and quantity_of(name, words) == "time" else name for name in names]
+    return [SKIPPED if layout.rate_Hz and words.quantity_of(name) == "time" else name for name in names]
 
 
 def _parse(

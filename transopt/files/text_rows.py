@@ -14,7 +14,7 @@ from typing import NamedTuple
 from transopt.base.errors import InputError
 from transopt.base.sizes import MOST_COLUMNS, MOST_IN_A_ROW
 from transopt.files.encoding import HEAD, encoding_of
-from transopt.files.names import SKIPPED, Vocabulary, labelled, quantity_of, quote, split_names, with_axes
+from transopt.files.names import SKIPPED, Vocabulary, labelled, quote, split_names, with_axes
 from transopt.files.raw_table import MIN_SAMPLES, check_size
 from transopt.files.statements import DECIMAL_COMMA, REMARKS, described, stated_in
 from transopt.files.units import is_unit
@@ -81,8 +81,7 @@ def parted_text(data: bytes, words: Vocabulary, columns: int = 0) -> Text:
     del head[numbers[min(start, len(rows) - 1)] - 1 :]
     by_blanks = delimiter_of(first) is None
     lines = [
-        split_names(row, by_blanks=by_blanks or any(quantity_of(name, words) for name in row.split()))
-        for row in above
+        split_names(row, by_blanks=by_blanks or any(words.quantity_of(name) for name in row.split())) for row in above
     ]
     for row in above:
         header |= stated_in(row, words)
@@ -92,7 +91,7 @@ def parted_text(data: bytes, words: Vocabulary, columns: int = 0) -> Text:
         if names[:1] and names[0].lower() in ("headers", "columns") and len(names) == len(cells_of(first)) + 1:
             del names[0]
         known = words.labelled(names)
-        if len(names) != len(cells_of(first)) or all(quantity_of(name, known) is None for name in names):
+        if len(names) != len(cells_of(first)) or all(known.quantity_of(name) is None for name in names):
             names = []
     names = with_axes(described(names, width, [*head, *told]))
     del rows[:start], numbers[:start]
@@ -259,7 +258,7 @@ def _names_above(above: list[list[str]], width: int, words: Vocabulary, told: li
     lines = [cells for cells in above if len(cells) >= width or cells is above[-1]]
     if lines and any(map(_WHEN.search, lines[-1])):
         return []
-    if lines and len(lines[-1]) < width and all(quantity_of(name, words) is None for name in lines[-1]):
+    if lines and len(lines[-1]) < width and all(words.quantity_of(name) is None for name in lines[-1]):
         del lines[-1]
     if not lines:
         return []

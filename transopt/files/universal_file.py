@@ -15,7 +15,7 @@ from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.base.sizes import MOST_ROWS
 from transopt.files.containers import Channels
-from transopt.files.names import Layout, Vocabulary, labelled, quantity_of, quote
+from transopt.files.names import Layout, Vocabulary, labelled, quote
 from transopt.files.unclear import UnclearError, chosen_channel
 from transopt.files.units import UNITS, input_unit, parts
 
@@ -89,7 +89,7 @@ def universal_columns(data: bytes, layout: Layout, words: Vocabulary) -> Channel
     if unit and not along:
         along = "Hz" if is_response else "s"
     units = layout.units or {}
-    is_stated = any(key in units for key in (ordinate, quantity_of(ordinate, words)))
+    is_stated = any(key in units for key in (ordinate, words.quantity_of(ordinate)))
     label = _label(chosen.lines, unit, is_response=is_response, is_stated=is_stated)
     cells = _numbers(chosen, 2 if is_response else 1)
     values = cells[:, 1] + 1j * cells[:, 2] if is_response else cells[:, 1]

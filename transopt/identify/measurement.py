@@ -145,13 +145,13 @@ def split_taps(runs: Sequence[Measurement], wanted: Sequence[int] = ()) -> list[
         pieces = bounds(force)
         times_s = peak_times(force, pieces)
         for number in chosen(run.name, len(pieces), times_s, {"*": wanted} if wanted else {}):
-            first, end = pieces[number - 1]
-
-            def piece(_: str, x: Signal, first: int = first, end: int = end) -> Signal:
-                return Signal(x.start_s + first * x.dt_s, x.dt_s, x.values[first:end])
-
-            found.append(run if len(pieces) == 1 else replace(run.changed(piece), name=f"{run.name}#{number}"))
+            tap = replace(_part(run, *pieces[number - 1]), name=f"{run.name}#{number}")
+            found.append(run if len(pieces) == 1 else tap)
     return found
+
+
+def _part(run: Measurement, first: int, end: int) -> Measurement:
+    return run.changed(lambda _, x: x.part(first, end))
 
 
 def load_measurement(path: Path, layout: Layout | None = None) -> Measurement:

@@ -55,10 +55,6 @@ def white_noise(x: Signal) -> float:
     return median(np.abs(steps - median(steps))) / (NORMAL_QUARTILE * math.sqrt(2))
 
 
-def _cut(x: Signal, first: int, end: int) -> Signal:
-    return Signal(x.start_s + first * x.dt_s, x.dt_s, x.values[first:end])
-
-
 def peak_times(x: Signal, pieces: Sequence[tuple[int, int]]) -> FloatArray:
     """(n,) time of the largest deviation from rest in each piece [s]."""
     away = np.abs(x.values - np.median(x.values))
@@ -103,7 +99,7 @@ def split(recording: Recording, wanted: Mapping[str, Sequence[int]]) -> list[Rec
     for number in numbers:
         first, end = pieces[number - 1]
         cut: dict[str, Any] = {
-            name: None if signal is None else _cut(signal, first, end) for name, signal in signals.items()
+            name: None if signal is None else signal.part(first, end) for name, signal in signals.items()
         }
         note = f"tap {number} of {len(pieces)} in {recording.name}, peak at {times_s[number - 1]:.4g} s"
         named = f"{recording.name}#{number}"
