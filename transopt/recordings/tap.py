@@ -1,8 +1,4 @@
-"""Prepares recordings for a reference: offset, polarity, onset, speed, similarity scaling, low-pass.
-
-An accelerometer reads gravity as a static offset, may be mounted upside down, and does not mark the contact. All of
-these are found in the recording unless the scene states them.
-"""
+"""Reads the recordings of a scene, and prepares each for a reference: onset, speed, similarity scaling, low-pass."""
 
 import glob
 import itertools
@@ -14,7 +10,7 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.files import is_file
-from transopt.base.filters import highpass, lowpass
+from transopt.base.filters import lowpass
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray, Signal, median
 from transopt.base.sizes import MOST_FILES
@@ -22,21 +18,16 @@ from transopt.files.formats import refuse_idle
 from transopt.files.unclear import UnclearError
 from transopt.recordings.after_contact import pulled_back_after_s, second_hit
 from transopt.recordings.approach import GUARD_S, find_approach
+from transopt.recordings.onset import contact, upright
 from transopt.recordings.plausible import HAND_M_S, implausible_motion, implausible_time
 from transopt.recordings.recording import Recording, load_recording
 from transopt.recordings.settings import Recordings
 from transopt.recordings.speed import FITTED, UNKNOWN, incoming_speed
-from transopt.recordings.split import SLOWEST_HZ, split, white_noise
+from transopt.recordings.split import split, white_noise
 
-AT_THE_START_S = 0.5e-3  # an onset this close to the start of the record has no baseline
-BASELINE_SAMPLES = 8  # fewest samples of a baseline
-LEAST_PEAK_TO_NOISE = 6.0  # below it no tap stands out
 CLIPPED_RUN = 3  # samples; two equal ones may be chance
 CLEAR_PEAK_TO_NOISE = 20.0  # below it noise alone may exceed the 30 % of the peak by which the onset is found
 USUAL_SPEEDS_M_S = (0.2, 0.1, 0.3, 0.05, 0.5)  # common speeds of a tapping hand
-TOE_SHARE = 1e-4  # of a pulse's energy before its onset, 1 % of the error; above it contact moves to its start
-TOE_LEVEL = 5e-3  # of the peak: level at which a pulse begins; the energy below it is negligible
-TOE_TO_NOISE = 3.0  # times the noise: least such level
 
 
 def _paths(settings: Recordings) -> list[Path]:
@@ -148,86 +139,6 @@ class PreparedTap:
     __repr__ = brief
 
 
-def _behind_last_below(values: FloatArray, level: float) -> int:
-    """Number of values up to and including the last one below a level; 0 if none is below."""
-    below = values[::-1] < level
-    last = int(np.argmax(below)) if below.size else 0
-    return values.size - last if below.any() else 0
-
-
-def _crossing(x: Signal, before: int, level: float) -> float:
-    """Last time before sample `before` at which a signal rises through `level`; the first sample's if never."""
-    j = _behind_last_below(x.values[:before], level) - 1
-    if j < 0:
-        return x.start_s
-    low, high = float(x.values[j]), float(x.values[j + 1])
-    return x.start_s + x.dt_s * (j + (level - low) / (high - low))
-
-
-def find_onset(x: Signal) -> float:
-    """Contact time of a tap without offset and with positive polarity [s].
-
-    The line through the 10 % and 30 % points (of the highest peak) of the first rise is extrapolated to zero. A
-    threshold alone would be late by a part of the rise, and an error of one servo tick costs 8 %. The highest peak
-    need not be the first.
-    """
-    height = float(x.values.max())
-    risen = int(np.argmax(x.values >= 0.3 * height))
-    low, high = _crossing(x, risen, 0.1 * height), _crossing(x, risen, 0.3 * height)
-    return max(low - 0.5 * (high - low), x.start_s)
-
-
-def _toe(x: Signal, smooth: Signal, onset_s: float, noise_m_s2: float, settings: Recordings) -> tuple[float, float]:
-    """Find where a pulse begins, at or before its onset [s], and the share of its energy between the two.
-
-    A pulse between soft bodies rises gradually, and the onset line reaches zero long after the pulse has begun.
-    Before contact only the waveform's lead is played; an earlier part of the pulse would be neither played nor
-    counted. Energy is measured after a high-pass at 8 Hz, because a hand that slows down before contact is not part
-    of the pulse.
-
-    In the low-passed signal the pulse is traced back from the onset to where it cannot be distinguished from zero.
-    Its energy is that of the recorded signal less that of the noise, because a zero-phase low-pass would move part of
-    a hard pulse before its onset.
-    """
-    slowest_Hz = settings.time_scale * SLOWEST_HZ
-    if slowest_Hz >= 0.45 * x.rate_Hz:
-        return onset_s, 0.0
-    recorded, rises = (highpass(each, slowest_Hz).values for each in (x, smooth))
-    left = noise_m_s2 * np.sqrt(min(2 * settings.time_scale * settings.lowpass_Hz / x.rate_Hz, 1.0))
-    level = max(TOE_LEVEL * float(x.values.max()), TOE_TO_NOISE * left)
-    contact = x.before(onset_s)
-    first = _behind_last_below(rises[:contact], level)
-    energy = recorded[first:] ** 2 - noise_m_s2**2
-    toe, whole = float(energy[: contact - first].sum()), float(energy.sum())
-    return min(x.start_s + x.dt_s * first, onset_s), max(toe, 0.0) / whole if whole > 0 else 0.0
-
-
-def _baseline(x: Signal) -> float | None:
-    """Mean of the samples before the tap without their lowest and highest fifth; None if there are too few.
-
-    The trimming ignores a bump caused by the moving hand.
-    """
-    centred = x.values - median(x.values)
-    upright = Signal(x.start_s, x.dt_s, centred * np.sign(centred[np.argmax(np.abs(centred))]))
-    quiet = x.values[: x.before(find_onset(upright) - GUARD_S)]
-    if quiet.size < BASELINE_SAMPLES:
-        return None
-    fifth = quiet.size // 5
-    inner = np.partition(quiet, (fifth, quiet.size - fifth - 1))[fifth : quiet.size - fifth]
-    return float(inner.mean())
-
-
-def _polarity(values: FloatArray, settings: Recordings) -> tuple[int, list[str]]:
-    """Sign of the larger peak, and notes."""
-    high, low = float(values.max()), float(-values.min())
-    if settings.polarity != "auto":
-        return (1 if settings.polarity == "positive" else -1), []
-    notes = []
-    if min(high, low) > 0.8 * max(high, low):
-        notes.append("both signs peak alike: state recordings.polarity")
-    return (1 if high >= low else -1), notes
-
-
 def _clipped(values: FloatArray, offset: float) -> int:
     """Number of samples in runs of at least `CLIPPED_RUN` that equal the largest or smallest value.
 
@@ -260,6 +171,73 @@ def _doubts(raw: Signal, speed_m_s: float, peak_m_s2: float, noise_m_s2: float) 
     return notes
 
 
+def _speed(
+    recording: Recording, x: Signal, onset_s: float, settings: Recordings, *, is_level_known: bool
+) -> tuple[float, str, str, list[str]]:
+    """Incoming speed [m/s] before any scaling and its source, why the recording cannot be a tap, and notes.
+
+    Parameters
+    ----------
+    x : without offset, positive where the tap decelerates the stylus.
+    is_level_known : whether the offset is known, so that gravity is not in `x`.
+
+    Raises
+    ------
+    InputError : no speed can be fitted to the position.
+    """
+    doubtful = "" if settings.simulated else implausible_time(recording.acceleration)
+    try:
+        speed, source, notes = incoming_speed(recording, onset_s)
+    except InputError:
+        if doubtful:  # the wrong unit of time, not the failed fit of a speed, has to be reported
+            raise InputError(f"{recording.name}: {doubtful}") from None
+        raise
+    if not (settings.simulated or doubtful):
+        # If no baseline gave the offset, the signal contains gravity, which the median removes.
+        gravity = 0.0 if is_level_known else median(x.values)
+        freed = replace(x, values=x.values - gravity)
+        doubtful = implausible_motion(freed, onset_s, speed, settings, fitted=source == FITTED)
+    return speed, source, doubtful, notes
+
+
+def _scaling(speed_m_s: float, source: str, settings: Recordings) -> tuple[float, float, str]:
+    """Factor on the acceleration, the speed after it [m/s], and its source, by the scene's similarity scaling.
+
+    Linear contact: time stretches by s, acceleration scales by v' / (v s). Scaled to every grid speed, v' follows at
+    each of them, and the speed is NaN.
+    """
+    stretch = settings.time_scale
+    if settings.amplitude_scale == "to_grid_speed":
+        scaled = source if source == UNKNOWN else f"{source}, scaled to every grid speed"
+        return 1 / (speed_m_s * stretch), float("nan"), scaled
+    factor = settings.amplitude_scale
+    is_scaled = (stretch, factor) != (1.0, 1.0)
+    return factor, speed_m_s * stretch * factor, f"{source}, similarity-scaled" if is_scaled else source
+
+
+def _hand_after_contact(recording: Recording, tap: Signal, onset_s: float, settings: Recordings) -> tuple[str, str]:
+    """Notes on a hand that pulls back, and on a second hit; empty where there is none.
+
+    Parameters
+    ----------
+    tap : low-passed and scaled, contact at t = 0.
+    """
+    pulled = hit = ""
+    pulled_s = None if recording.position is None else pulled_back_after_s(recording.position, onset_s)
+    if pulled_s is not None:
+        pulled = (
+            f"within {1e3 * pulled_s:.0f} ms of contact the hand pulls the stylus back, which raises the error above "
+            "30 Hz to 14 %: leave it out unless the player's hand pulls too"
+        )
+    again = None if settings.simulated else second_hit(tap, 0.0)
+    if again is not None:
+        hit = (
+            f"a second hit {1e3 * again[0]:.0f} ms after contact, {100 * again[1]:.0f} % of the first: if the stylus "
+            "was thrown back and came again, record another tap or cut the file before it"
+        )
+    return pulled, hit
+
+
 def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
     """Find offset, polarity, onset and speed of one recording; scale it by similarity and low-pass it.
 
@@ -269,111 +247,43 @@ def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
     ------
     InputError : the recording has no tap, the onset lies outside of it, or no speed can be fitted to the position.
     """
-    raw = recording.acceleration
-    baseline, notes, stated = _baseline(raw), [], settings.offset_m_s2 != "baseline"
-    offset = float(settings.offset_m_s2) if stated else baseline or 0.0
-    if not stated and baseline is None:
-        notes.append("no baseline before the onset: offset taken as 0; state recordings.offset_m_s2 if there is one")
-    polarity, more = _polarity(raw.values - offset, settings)
-    upright = Signal(raw.start_s, raw.dt_s, polarity * (raw.values - offset))
-    if not upright.values.max() > 0:
-        raise InputError(
-            f"{recording.name}: no sample above the offset of {offset:g} m/s^2: "
-            "check recordings.polarity and recordings.offset_m_s2"
-        )
-    # The tap rises from the baseline; relative to a stated offset, the baseline may be the incoming acceleration.
-    rest = 0.0 if baseline is None else polarity * (baseline - offset)
-    risen = Signal(raw.start_s, raw.dt_s, upright.values - rest)
-    onset = find_onset(risen) if settings.onset_s == "auto" else float(settings.onset_s)
-    if not raw.start_s <= onset <= raw.end_s:
-        raise InputError(
-            f"{recording.name}: recordings.onset_s = {onset:g} s lies outside of the recording, {raw.start_s:g} to "
-            f"{raw.end_s:g} s: state it in the file's own time, or leave it out and it is found"
-        )
-    noise = white_noise(raw)
-    if settings.onset_s == "auto" and upright.values.max() < LEAST_PEAK_TO_NOISE * noise:
-        raise InputError(
-            f"{recording.name}: highest sample {upright.values.max():.3g} m/s^2, noise {noise:.3g} m/s^2 rms: no tap "
-            f"stands out (limit {LEAST_PEAK_TO_NOISE:g} times): record it again or state recordings.onset_s"
-        )
-    stretch = settings.time_scale
-    smooth = lowpass(upright, stretch * settings.lowpass_Hz)
-    begins, share = _toe(risen, replace(smooth, values=smooth.values - rest), onset, noise, settings)
-    if share > TOE_SHARE:
-        early_ms = 1e3 * (onset - begins)
-        found = f"a soft pulse: {100 * share:.2g} % of its energy in the {early_ms:.2g} ms before"
-        if settings.onset_s == "auto":
-            more.append(f"{found} the onset that its rise points to; contact is put where it begins")
-            onset = begins
-        else:
-            more.append(f"{found} recordings.onset_s, of which only the waveform's lead is played: state it earlier")
-    if settings.onset_s == "auto" and onset - upright.start_s < AT_THE_START_S:
-        more.append("the contact is at the start of the file (a trigger without pre-roll): what came before is lost")
-    came = find_approach(upright, recording.position, onset, noise, settings.trusted_from_Hz, stated=stated)
-    if came.acceleration is not upright:
-        upright = came.acceleration
-        smooth = lowpass(upright, stretch * settings.lowpass_Hz)
-    offset -= polarity * came.offset_error_m_s2
-    more += came.notes
-    pulled_s = None if recording.position is None else pulled_back_after_s(recording.position, onset)
-    if pulled_s is not None:
-        more.append(
-            f"within {1e3 * pulled_s:.0f} ms of contact the hand pulls the stylus back, which raises the error above "
-            "30 Hz to 14 %: leave it out unless the player's hand pulls too"
-        )
-    doubtful = "" if settings.simulated else implausible_time(raw)
-    try:
-        speed, source, unsure = incoming_speed(recording, onset)
-    except InputError:
-        if doubtful:  # the wrong unit of time, not the failed fit of a speed, has to be reported
-            raise InputError(f"{recording.name}: {doubtful}") from None
-        raise
-    more += unsure
-    if not (settings.simulated or doubtful):
-        # If no baseline gave the offset, the signal contains gravity, which the median removes.
-        gravity = median(upright.values) if notes else 0.0
-        freed = replace(upright, values=upright.values - gravity)
-        doubtful = implausible_motion(freed, onset, speed, settings, fitted=source == FITTED)
-    clipped = _clipped(raw.values, offset)
-    if clipped:
-        more.append(f"{clipped} samples at the end stop: the true peak is higher; use a sensor of larger range")
-
-    if settings.amplitude_scale == "to_grid_speed":
-        # Linear contact: time stretches by s, acceleration scales by v' / (v s); v' follows at each grid speed.
-        if source != UNKNOWN:
-            source += ", scaled to every grid speed"
-        factor, speed = 1 / (speed * stretch), float("nan")
-    else:
-        factor = settings.amplitude_scale
-        if (stretch, factor) != (1.0, 1.0):
-            source += ", similarity-scaled"
-        speed *= stretch * factor
+    raw, stretch = recording.acceleration, settings.time_scale
+    up, noise = upright(recording, settings), white_noise(raw)
+    smooth = lowpass(up.signal, stretch * settings.lowpass_Hz)
+    onset, found = contact(recording, up, smooth, noise, settings)
+    is_stated = settings.offset_m_s2 != "baseline"
+    came = find_approach(up.signal, recording.position, onset, noise, settings.trusted_from_Hz, stated=is_stated)
+    if came.acceleration is not up.signal:
+        smooth = lowpass(came.acceleration, stretch * settings.lowpass_Hz)
+    offset = up.offset_m_s2 - up.polarity * came.offset_error_m_s2
+    incoming, source, doubtful, unsure = _speed(
+        recording, came.acceleration, onset, settings, is_level_known=up.is_level_known
+    )
+    factor, speed, source = _scaling(incoming, source, settings)
     filtered = Signal((raw.start_s - onset) * stretch, raw.dt_s * stretch, factor * smooth.values)
-    peak = float(np.abs(upright.values if np.isnan(speed) else filtered.values).max())
-    hit = None if settings.simulated else second_hit(filtered, 0.0)
-    if hit is not None:
-        more.append(
-            f"a second hit {1e3 * hit[0]:.0f} ms after contact, {100 * hit[1]:.0f} % of the first: if the stylus was "
-            "thrown back and came again, record another tap or cut the file before it"
-        )
-    more += _doubts(raw, speed, peak, noise if np.isnan(speed) else factor * noise)
+    peak = float(np.abs(came.acceleration.values if np.isnan(speed) else filtered.values).max())
+    pulled, hit = _hand_after_contact(recording, filtered, onset, settings)
+    clipped = _clipped(raw.values, offset)
+    stop = f"{clipped} samples at the end stop: the true peak is higher; use a sensor of larger range"
+    doubts = _doubts(raw, speed, peak, noise if np.isnan(speed) else factor * noise)
+    notes = (*up.notes, *found, *came.notes, pulled, *unsure, stop if clipped else "", hit, *doubts)
     return PreparedTap(
-        recording,
-        filtered,
-        speed,
-        source,
-        offset,
-        factor * came.incoming_m_s2,
-        came.source,
-        came.slow_part_known,
-        polarity,
-        onset,
-        peak,
-        factor,
-        clipped,
-        (*recording.notes, *notes, *more),
-        doubtful,
-        _across(recording, settings, onset, polarity, factor),
+        recording=recording,
+        acceleration=filtered,
+        speed_m_s=speed,
+        speed_source=source,
+        offset_m_s2=offset,
+        incoming_acceleration_m_s2=factor * came.incoming_m_s2,
+        incoming_source=came.source,
+        slow_part_known=came.slow_part_known,
+        polarity=up.polarity,
+        onset_s=onset,
+        peak_m_s2=peak,
+        amplitude=factor,
+        clipped_samples=clipped,
+        notes=(*recording.notes, *filter(None, notes)),
+        implausible=doubtful,
+        across=_across(recording, settings, onset, up.polarity, factor),
     )
 
 

@@ -10,9 +10,10 @@ from transopt.base.errors import InputError
 from transopt.base.filters import highpass, lowpass
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal, nrmse
 from transopt.plant.discretise import TimeGrid
+from transopt.recordings.onset import find_onset
 from transopt.recordings.recording import Recording
 from transopt.recordings.settings import Recordings
-from transopt.recordings.tap import find_onset, prepare, read_recordings
+from transopt.recordings.tap import prepare, read_recordings
 from transopt.references.reference import Free, Reference, build_reference
 from transopt.references.references import References, assign
 from transopt.scene.keys import with_values

@@ -1,0 +1,190 @@
+"""The beginning of a tap: offset and polarity of the sensor, and the contact, which the sensor does not mark.
+
+An accelerometer reads gravity as a static offset and may be mounted upside down. Offset, polarity and onset are found
+in the recording unless the scene states them.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from transopt.base.errors import InputError
+from transopt.base.filters import highpass
+from transopt.base.signals import FloatArray, Signal, median
+from transopt.recordings.approach import GUARD_S
+from transopt.recordings.recording import Recording
+from transopt.recordings.settings import Recordings
+from transopt.recordings.split import SLOWEST_HZ
+
+AT_THE_START_S = 0.5e-3  # an onset this close to the start of the record has no baseline
+BASELINE_SAMPLES = 8  # fewest samples of a baseline
+LEAST_PEAK_TO_NOISE = 6.0  # below it no tap stands out
+TOE_SHARE = 1e-4  # of a pulse's energy before its onset, 1 % of the error; above it contact moves to its start
+TOE_LEVEL = 5e-3  # of the peak: level at which a pulse begins; the energy below it is negligible
+TOE_TO_NOISE = 3.0  # times the noise: least such level
+
+
+def _behind_last_below(values: FloatArray, level: float) -> int:
+    """Number of values up to and including the last one below a level; 0 if none is below."""
+    below = values[::-1] < level
+    last = int(np.argmax(below)) if below.size else 0
+    return values.size - last if below.any() else 0
+
+
+def _crossing(x: Signal, before: int, level: float) -> float:
+    """Last time before sample `before` at which a signal rises through `level`; the first sample's if never."""
+    j = _behind_last_below(x.values[:before], level) - 1
+    if j < 0:
+        return x.start_s
+    low, high = float(x.values[j]), float(x.values[j + 1])
+    return x.start_s + x.dt_s * (j + (level - low) / (high - low))
+
+
+def find_onset(x: Signal) -> float:
+    """Contact time of a tap without offset and with positive polarity [s].
+
+    The line through the 10 % and 30 % points (of the highest peak) of the first rise is extrapolated to zero. A
+    threshold alone would be late by a part of the rise, and an error of one servo tick costs 8 %. The highest peak
+    need not be the first.
+    """
+    height = float(x.values.max())
+    risen = int(np.argmax(x.values >= 0.3 * height))
+    low, high = _crossing(x, risen, 0.1 * height), _crossing(x, risen, 0.3 * height)
+    return max(low - 0.5 * (high - low), x.start_s)
+
+
+def _toe(x: Signal, smooth: Signal, onset_s: float, noise_m_s2: float, settings: Recordings) -> tuple[float, float]:
+    """Find where a pulse begins, at or before its onset [s], and the share of its energy between the two.
+
+    A pulse between soft bodies rises gradually, and the onset line reaches zero long after the pulse has begun.
+    Before contact only the waveform's lead is played; an earlier part of the pulse would be neither played nor
+    counted. Energy is measured after a high-pass at 8 Hz, because a hand that slows down before contact is not part
+    of the pulse.
+
+    In the low-passed signal the pulse is traced back from the onset to where it cannot be distinguished from zero.
+    Its energy is that of the recorded signal less that of the noise, because a zero-phase low-pass would move part of
+    a hard pulse before its onset.
+    """
+    slowest_Hz = settings.time_scale * SLOWEST_HZ
+    if slowest_Hz >= 0.45 * x.rate_Hz:
+        return onset_s, 0.0
+    recorded, rises = (highpass(each, slowest_Hz).values for each in (x, smooth))
+    left = noise_m_s2 * np.sqrt(min(2 * settings.time_scale * settings.lowpass_Hz / x.rate_Hz, 1.0))
+    level = max(TOE_LEVEL * float(x.values.max()), TOE_TO_NOISE * left)
+    onset = x.before(onset_s)
+    first = _behind_last_below(rises[:onset], level)
+    energy = recorded[first:] ** 2 - noise_m_s2**2
+    toe, whole = float(energy[: onset - first].sum()), float(energy.sum())
+    return min(x.start_s + x.dt_s * first, onset_s), max(toe, 0.0) / whole if whole > 0 else 0.0
+
+
+def _baseline(x: Signal) -> float | None:
+    """Mean of the samples before the tap without their lowest and highest fifth; None if there are too few.
+
+    The trimming ignores a bump caused by the moving hand.
+    """
+    centred = x.values - median(x.values)
+    upright = Signal(x.start_s, x.dt_s, centred * np.sign(centred[np.argmax(np.abs(centred))]))
+    quiet = x.values[: x.before(find_onset(upright) - GUARD_S)]
+    if quiet.size < BASELINE_SAMPLES:
+        return None
+    fifth = quiet.size // 5
+    inner = np.partition(quiet, (fifth, quiet.size - fifth - 1))[fifth : quiet.size - fifth]
+    return float(inner.mean())
+
+
+def _polarity(values: FloatArray, settings: Recordings) -> tuple[int, list[str]]:
+    """Sign of the larger peak, and notes."""
+    high, low = float(values.max()), float(-values.min())
+    if settings.polarity != "auto":
+        return (1 if settings.polarity == "positive" else -1), []
+    notes = []
+    if min(high, low) > 0.8 * max(high, low):
+        notes.append("both signs peak alike: state recordings.polarity")
+    return (1 if high >= low else -1), notes
+
+
+class Upright(NamedTuple):
+    """A recording less its offset, turned so that the tap is positive.
+
+    Attributes
+    ----------
+    signal : in the recording's own time [m/s^2].
+    polarity : 1, or -1 if the sensor was upside down.
+    offset_m_s2 : offset that was subtracted.
+    rest_m_s2 : level from which the tap rises; relative to a stated offset, it may be the incoming acceleration.
+    is_level_known : whether a baseline or the user gives the offset.
+    notes : one sentence each.
+    """
+
+    signal: Signal
+    polarity: int
+    offset_m_s2: float
+    rest_m_s2: float
+    is_level_known: bool
+    notes: list[str]
+
+
+def upright(recording: Recording, settings: Recordings) -> Upright:
+    """Subtract the offset, and turn a sensor that was upside down.
+
+    Raises
+    ------
+    InputError : nothing is above the offset.
+    """
+    raw = recording.acceleration
+    baseline, is_stated = _baseline(raw), settings.offset_m_s2 != "baseline"
+    offset = float(settings.offset_m_s2) if is_stated else baseline or 0.0
+    notes = []
+    if not is_stated and baseline is None:
+        notes.append("no baseline before the onset: offset taken as 0; state recordings.offset_m_s2 if there is one")
+    polarity, more = _polarity(raw.values - offset, settings)
+    signal = Signal(raw.start_s, raw.dt_s, polarity * (raw.values - offset))
+    if not signal.values.max() > 0:
+        raise InputError(
+            f"{recording.name}: no sample above the offset of {offset:g} m/s^2: "
+            "check recordings.polarity and recordings.offset_m_s2"
+        )
+    rest = 0.0 if baseline is None else polarity * (baseline - offset)
+    return Upright(signal, polarity, offset, rest, is_stated or baseline is not None, [*notes, *more])
+
+
+def contact(
+    recording: Recording, up: Upright, smooth: Signal, noise_m_s2: float, settings: Recordings
+) -> tuple[float, list[str]]:
+    """Time of contact [s], and notes; a soft pulse begins before the onset that its rise points to.
+
+    Parameters
+    ----------
+    smooth : `up.signal`, low-passed. noise_m_s2 : rms of the white noise in the recording.
+
+    Raises
+    ------
+    InputError : no tap stands out of the noise, or the stated onset lies outside of the recording.
+    """
+    raw, is_found, notes = recording.acceleration, settings.onset_s == "auto", list[str]()
+    risen = replace(up.signal, values=up.signal.values - up.rest_m_s2)
+    onset = find_onset(risen) if is_found else float(settings.onset_s)
+    if not raw.start_s <= onset <= raw.end_s:
+        raise InputError(
+            f"{recording.name}: recordings.onset_s = {onset:g} s lies outside of the recording, {raw.start_s:g} to "
+            f"{raw.end_s:g} s: state it in the file's own time, or leave it out and it is found"
+        )
+    highest = float(up.signal.values.max())
+    if is_found and highest < LEAST_PEAK_TO_NOISE * noise_m_s2:
+        raise InputError(
+            f"{recording.name}: highest sample {highest:.3g} m/s^2, noise {noise_m_s2:.3g} m/s^2 rms: no tap "
+            f"stands out (limit {LEAST_PEAK_TO_NOISE:g} times): record it again or state recordings.onset_s"
+        )
+    begins, share = _toe(risen, replace(smooth, values=smooth.values - up.rest_m_s2), onset, noise_m_s2, settings)
+    if share > TOE_SHARE:
+        found = f"a soft pulse: {100 * share:.2g} % of its energy in the {1e3 * (onset - begins):.2g} ms before"
+        if is_found:
+            notes.append(f"{found} the onset that its rise points to; contact is put where it begins")
+            onset = begins
+        else:
+            notes.append(f"{found} recordings.onset_s, of which only the waveform's lead is played: state it earlier")
+    if is_found and onset - raw.start_s < AT_THE_START_S:
+        notes.append("the contact is at the start of the file (a trigger without pre-roll): what came before is lost")
+    return onset, notes
