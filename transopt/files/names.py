@@ -22,6 +22,7 @@ from transopt.base.errors import InputError
 from transopt.files.units import RATIOS, is_electrical, is_unit, read_unit
 
 SKIPPED = "-"
+LONGEST_NAME = 200  # characters; in a longer name no unit is looked for
 MOST_CHOICES = 8  # most choices offered among columns of one quantity
 SMALLEST = "min"  # after a name not the unit minutes, but a minimum
 # A unit after a name: in brackets, after a slash, or after "in". A number in brackets is an element's index.
@@ -193,7 +194,7 @@ class Vocabulary:
 
     def is_meant(self, name: str) -> bool:
         """Whether a name ends in a unit, so that it must mean a quantity, even if misspelt."""
-        tails = [name[at + 1 :] for at, mark in enumerate(name) if mark == "_"]
+        tails = [name[at + 1 :] for at, mark in enumerate(name[:LONGEST_NAME]) if mark == "_"]
         known = {scalar.unit for scalar in self.header.values() if scalar.unit}
         return name in self.columns or any(
             tail in known or (tail != SMALLEST and any(read_unit(tail, of) for of in self.quantities))
@@ -275,7 +276,7 @@ def split_names(line: str, *, by_blanks: bool = True) -> list[str]:
     if mark is None and not by_blanks:
         return [line.strip(" \t;,")]
     if mark is None:
-        line = re.sub(r"\s+(?=[\[({])", "", line.strip())
+        line = re.sub(r"(?<!\s)\s+(?=[\[({])", "", line.strip())
     return [cell.strip() for cell in line.rstrip(";, \t").split(mark)]
 
 
@@ -319,6 +320,8 @@ def stated_for(name: str, words: Vocabulary, units: Mapping[str, str]) -> bool:
 
 def apart(name: str) -> tuple[str, str | None]:
     """A name without its unit, and the unit or None."""
+    if len(name) > LONGEST_NAME:
+        return name, None
     found = next(filter(None, (pattern.fullmatch(name.strip()) for pattern in _WITH_UNIT)), None)
     small = name.strip().lower().replace("_", " ")
     if found is None and (unit := NAMED_UNITS.get(small, "g" if small[:2] == "gf" and small in AXES else None)):

@@ -14,18 +14,23 @@ from transopt.files.units import is_unit, read_unit
 
 REMARKS: tuple[str, ...] = ("#", "*", "%", "//")
 DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # a single number contains no other comma
-_STATEMENT = re.compile(r"([#*%/;\"\s]*)([A-Za-z][\w -]*?)[\s\":]*([:=,;\t]+)\s*(.*)")
+# No pattern here may match one run of characters by two of its parts: it would then try all divisions of a long run.
+_STATEMENT = re.compile(r"[#*%/;\"\s]*(?P<name>[A-Za-z]\w*(?:[ -]+\w+)*)(?P<mark>[\s\":=,;]+)(?P<value>.*)")
 _UNITS_OF_VALUES = ("verticalunits", "yunitlabel", "yunits", "vunit", "units")  # as instruments call them
 _UNITS_OF_TIMES = ("horizontalunits", "xunits", "hunit")
-# What precedes and follows a number: an optional unit in brackets, a mark, and an optional unit.
+# What precedes and follows a number in a line with single blanks: an optional unit in brackets, a mark, and an
+# optional unit.
 _VALUE = (
-    r"\s*(?:[\[(]\s*(?P<before>[a-zµ/]+)\s*[\])])?\s*[:=,;\t ]+\s*(?P<number>[-+]?\d+(?:[.,]\d+)?(?:e[-+]?\d+)?)"
-    r"\s*(?P<behind>[a-zµ]+(?:/s)?)?(?![\w.:])"
+    r" ?(?:[\[(] ?(?P<before>[a-zµ/]+) ?[\])])?[:=,; ]+(?P<number>[-+]?\d+(?:[.,]\d+)?(?:e[-+]?\d+)?)"
+    r" ?(?P<behind>[a-zµ]+(?:/s)?)?(?![\w.:])"
 )
-_RATE = r"(?<![a-z])(?:(?:data|output)?[ _]*rate|sampl\w*[ _]*(?:rate|freq\w*)|fs|abtastrate|abtastfrequenz|messrate)"
+_RATE = (
+    r"(?<![a-z])(?:(?:data|output)?[ _]?rate|sampl\w{0,20}[ _]?(?:rate|freq\w*)|fs"
+    r"|abtastrate|abtastfrequenz|messrate)"
+)
 _STEP = (
     r"(?<![a-z])(?:delta[ _]?[xt]|x-axis delta|dt|(?:t|x)[ _]?inc|(?:x[ _])?increment|h ?resolution|clock"
-    r"|(?:time|t)[ _]?interval|sampl\w*[ _]*(?:interval|period)|abtastintervall)"
+    r"|(?:time|t)[ _]?interval|sampl\w{0,20}[ _]?(?:interval|period)|abtastintervall)"
 )
 _STATED = {of: re.compile(names + _VALUE, re.IGNORECASE) for of, names in (("frequency", _RATE), ("time", _STEP))}
 _START = re.compile(r"(?:t?start|x[ _]?0|t[ _]?0)\w* *[:=] *([-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?)", re.IGNORECASE)
@@ -40,13 +45,13 @@ def stated_in(line: str, words: Vocabulary) -> dict[str, str]:
     number loses its decimal comma, and the delimiters that spreadsheets pad rows with.
     """
     found = _STATEMENT.fullmatch(line)
-    if found is None:
-        return {}
-    _, key, sign, value = found.groups()
+    mark = found["mark"].strip(' "') if found else ""
     is_remark = line.startswith((*REMARKS, ";"))
-    if (is_remark and sign[0] not in ":=") or not (key in words.header or (is_remark and words.is_meant(key))):
+    if not (found and mark) or (is_remark and mark.strip()[:1] not in (":", "=")):
         return {}
-    value = value.rstrip(";, \t")
+    key, value = found["name"], found["value"].rstrip(";, \t")
+    if not (key in words.header or (is_remark and words.is_meant(key))):
+        return {}
     return {key: value.replace(",", ".") if DECIMAL_COMMA.fullmatch(value) else value}
 
 
@@ -59,8 +64,9 @@ def described(names: Sequence[str], width: int, notes: Sequence[str]) -> list[st
     notes : lines such as `Vertical Units,V`.
     """
     stated = {
-        re.sub(r"[\s_-]", "", found[2].lower()): re.split(r"\s*[,;\t]\s*", found[4].replace('"', ""))
+        re.sub(r"[\s_-]", "", found["name"].lower()): _values(found["value"])
         for found in filter(None, map(_STATEMENT.fullmatch, notes))
+        if found["mark"].strip(' "')
     }
     units = next((stated[key] for key in _UNITS_OF_VALUES if key in stated), [])
     sources = [each for key in ("source", "tracename") for each in stated.get(key, []) if each]
@@ -78,6 +84,12 @@ def described(names: Sequence[str], width: int, notes: Sequence[str]) -> list[st
         called = sources[at - 1] if name == "Value" and 0 < at <= len(sources) else name
         found.append(labelled(called, unit) if is_unit(unit) and not is_unit(apart(called)[1] or "") else called)
     return found
+
+
+def _values(text: str) -> list[str]:
+    """The values in a note; an empty one stands between two commas or semicolons, not between two tabs."""
+    cells = re.split("[,;]", text.replace('"', ""))
+    return [value for cell in cells for value in [each.strip() for each in cell.split("\t") if each.strip()] or [""]]
 
 
 class Rate(NamedTuple):
@@ -112,7 +124,7 @@ def rate_of(lines: Sequence[str], told: Sequence[str] = ()) -> Rate | None:
     found: list[tuple[float, str]] = []
     for line in (*lines, *told):
         for of, pattern in _STATED.items():
-            for each in pattern.finditer(line.replace('"', "")):
+            for each in pattern.finditer(" ".join(line.replace('"', "").split())):
                 if of == "frequency" and _GROUPED.fullmatch(each["number"]):
                     return None  # 10,000 Hz means 10 kHz to some and 10 Hz to others
                 factor = _factor(each["before"] or each["behind"] or "", of)

@@ -33,7 +33,7 @@ _NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|")  # or an emp
 _STAMP = re.compile(r"[-+]?(nan|inf)|[-+\d.,:/TZE ]+", re.IGNORECASE)  # a number, a date or a time of day
 _WORTH = re.compile(r"\d|nan|inf", re.IGNORECASE)  # required in a stamp, so that dashes alone are none
 _STATED = re.compile(r"[A-Za-z]\w*\s*=\s*[-+.\d]\S*")
-_LABELLED = re.compile(r"([A-Za-z]\w*)\s*[:=]\s*([-+.\d][^\s,;]*)")
+_LABELLED = re.compile(r"\b([A-Za-z]\w*)\s*[:=]\s*([-+.\d][^\s,;]*)")
 _SERIAL_STAMP = re.compile(r"\d+:\d+:\d+[.,]\d+ -> ")  # prefix of each line in Arduino's serial monitor
 _NUMBER_START = re.compile(r"[-+.]*\d|[-+]?(nan|inf)", re.IGNORECASE)
 

@@ -51,6 +51,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "phase": {"deg": math.pi / 180, "°": math.pi / 180, "rad": 1.0},
 }
 RATIOS = ("magnitude", "real", "imaginary")  # quantities that are an acceleration over an input
+LONGEST_UNIT = 100  # characters, of a sensor's with its sensitivity
 MOST_LIKELY = {"time": 4, "acceleration": 4}  # number of common units of these quantities
 SENSITIVITIES = ("100 mV/g", "10 mV/g", "500 mV/g", "1000 mV/g", "300 mV/g", "50 mV/g", "1 mV/g")
 # 16-bit converters with ranges of 2, 4, 8 and 16 g; ADXL345 and ADXL375.
@@ -113,6 +114,8 @@ _SMALL = {of: {unit.lower(): factor for unit, factor in table.items()} for of, t
 
 def _factor(unit: str, quantity: str) -> float | None:
     """Factor of a unit to SI; None if the quantity does not have this unit."""
+    if len(unit) > LONGEST_UNIT:
+        return None
     if "@" in unit:
         return _sensed(unit, quantity)
     plain, exact = _SPELT.get(_plain(unit), _plain(unit)), _EXACT[quantity]
@@ -163,6 +166,8 @@ def is_sensed(stated: str, label: str) -> bool:
 
 def parts(unit: str) -> tuple[str, str]:
     """Split a unit such as g/V into that of the acceleration and that of the input; the second may be empty."""
+    if len(unit) > LONGEST_UNIT:
+        return unit, ""
     above, _, below = re.sub(r"\s+per\s+", "/", unit).rpartition("/")
     if above and any(_factor(below, per) is not None for per in INPUTS):
         return above.strip(" ()"), below
