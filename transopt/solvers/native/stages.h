@@ -1396,7 +1396,7 @@ static int linear(const tr_problem *const *all, double tolerance, double *space,
     tr_work work, *w = &work;
     tr_course course[ENTRIES];
     const number nothing = {0};
-    number step = {0};
+    number step;
     prepare(w, all, space, watch);
     if (factor(w, 0, NULL) == TR_INTERRUPTED) return TR_INTERRUPTED;
     for (int e = 0; e < ENTRIES; e++) {
@@ -1404,7 +1404,7 @@ static int linear(const tr_problem *const *all, double tolerance, double *space,
         if (EACH(w->sound, e) == 0.0) end_with(course + e, r[e], TR_BREAKDOWN, 0);
     }
     begin(w);
-    for (int iterations = 1; step += 1.0, !all_ended(course, &step); iterations++) {
+    for (int iterations = 1; step = nothing + 1.0, !all_ended(course, &step); iterations++) {
         int better[ENTRIES];
         newton(w, 0);
         advance(w, step);
