@@ -6,6 +6,7 @@ python scripts/several_motors.py [--page docs/results/several_motors.md]
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -30,18 +31,22 @@ from transopt.scene.builtin import load_scene
 from transopt.scene.keys import with_values
 from transopt.scene.recordings import recordings_of
 from transopt.scene.scene import Scene
-from transopt.solvers import several
+from transopt.solvers import modes
+from transopt.solvers.native.extension import interior_points
 from transopt.solvers.options import SolverOptions
 from transopt.solvers.program import state_program
 from transopt.solvers.shape import program_shape
 from transopt.solvers.sparse_kkt import pattern
-from transopt.solvers.stage_data import stated_rows
+from transopt.solvers.stage_data import Stages, stages
 from transopt.solvers.statement import state
 
 SCENE = "stylus_3d"
 TOLERANCE = 1e-9  # of all methods, in the statement's units
 SPEEDS_M_S = [0.1, 0.2, 0.3, 0.4]
 ROUNDED = 1e-6  # of a limit: what a certificate tolerates
+
+
+BESIDE = 8  # times that the problem is solved side by side with itself: a whole register of it
 
 
 def saturated(scene: Scene) -> TransientProblem:
@@ -80,24 +85,36 @@ class Speed:
     iterations: int
 
 
-def speeds(problem: TransientProblem, runs: int) -> list[Speed]:
-    """The compiled method in modes and dense, and PIQP, on data that are already there, in turns."""
-    stage = linear_stage(problem)
-    rows = stated_rows(problem, stage)
-    own = {modal: several.Numbers.of(problem, stage, rows, modal=modal) for modal in (True, False)}
+def dense(scene: Scene) -> Stages:
+    """Stage data of the saturated tap in the plant's own states in place of its modes."""
+    most, modes.MOST_CONDITION = modes.MOST_CONDITION, 0.0
+    try:
+        return stages(saturated(scene))
+    finally:
+        modes.MOST_CONDITION = most
+
+
+def speeds(scene: Scene, runs: int) -> list[Speed]:
+    """The compiled method in modes, alone and in a batch, and dense, and PIQP, on data that are there, in turns."""
+    problem = saturated(scene)
+    given = stages(problem)
+    own = {
+        "own, in modes": [given],
+        f"own, in modes, one of {BESIDE} side by side": [given] * BESIDE,
+        "own, dense": [dense(scene)],
+    }
     solver, _ = multistage(problem)
-    times = in_turns(
-        runs,
-        modal=lambda: own[True].solved(TOLERANCE, 100),
-        dense=lambda: own[False].solved(TOLERANCE, 100),
-        piqp=solver.solve,
-    )
+    methods: dict[str, Callable[[], object]] = {
+        name: partial(interior_points, some, tolerance=TOLERANCE, max_iterations=100) for name, some in own.items()
+    }
+    times = in_turns(runs, **methods, piqp=solver.solve)
     found = []
-    for name, modal in (("own, in modes", True), ("own, dense", False)):
-        answer = own[modal].solved(TOLERANCE, 100)
-        proof = certify(problem, own[modal].command(answer), own[modal].multipliers(answer))
+    for name, some in own.items():
+        answer = interior_points(some, tolerance=TOLERANCE, max_iterations=100)[0]
+        multipliers = some[0].multipliers(answer.upper - answer.lower, answer.gradient)
+        proof = certify(problem, some[0].command(answer.command), multipliers)
         assert proof.accepted
-        found.append(Speed(name, times["modal" if modal else "dense"], proof.objective, answer.iterations))
+        found.append(Speed(name, times[name] / len(some), proof.objective, answer.iterations))
     point = state(problem).command(np.asarray(solver.result.x))
     objective = problem.objective(point, problem.accelerations(point))
     found.append(Speed("PIQP, multistage", times["piqp"], objective, solver.result.info.iter))
@@ -203,7 +220,7 @@ def main(
     on_one_thread()
     scene = load_scene(SCENE)
     problem = saturated(scene)
-    timed_methods = speeds(problem, runs)
+    timed_methods = speeds(scene, runs)
     piqp_ms = float(np.median(timed_methods[-1].ms))
     lines = [
         f"One saturated tap of `{SCENE}`: {linear_stage(problem).units.size} states, {problem.stage.motors} motors, "

@@ -10,7 +10,7 @@
 
 #include "../transopt/solvers/native/riccati.h"
 
-enum { INTEGERS = 9, ARRAYS = 20, NUMBERS = 6, BESIDE = 9 };
+enum { INTEGERS = 10, ARRAYS = 20, NUMBERS = 6, BESIDE = 9 };
 
 static void read_or_stop(void *into, size_t size, size_t count, FILE *file)
 {
@@ -27,26 +27,27 @@ static double *doubles(size_t count)
     return found;
 }
 
-static void tell(const char *what, const tr_result *r, int stages)
+static void tell(const char *what, const tr_result *r, int moves)
 {
     const int code = r->code;
     double sum = 0.0;
-    for (int k = 0; k < stages; k++) sum += r->command[k];
+    for (int k = 0; k < moves; k++) sum += r->command[k];
     printf("%s %d %d %.17g %.17g\n", what, code, r->iterations, code < TR_ITERATION_LIMIT ? r->objective : 0.0, sum);
 }
 
 /* What the answer and its multipliers prove: of each kind of number the first. */
 static void tell_proof(const tr_problem *q, const tr_result *r)
 {
-    const size_t N = (size_t)q->stages, rows = N * (size_t)q->rows;
+    const size_t N = (size_t)q->stages, rows = N * (size_t)q->rows, motors = (size_t)q->motors;
+    const size_t free_moves = (size_t)q->free_stages * motors;
     double *workspace = doubles(tr_workspace(1, q)), *excess = doubles((size_t)q->rows), most = 0.0;
-    double *by_lower = doubles(rows), *by_upper = doubles(rows), *by_rule = doubles(N - (size_t)q->free_stages);
+    double *by_lower = doubles(rows), *by_upper = doubles(rows), *by_rule = doubles(N * motors - free_moves);
     double *lower = doubles(rows), *upper = doubles(rows);
     for (size_t i = 0; i < rows; i++) {
         by_lower[i] = r->lower[i], by_upper[i] = r->upper[i];
         lower[i] = q->lower[i], upper[i] = q->upper[i];
     }
-    for (int k = q->free_stages; k < q->stages; k++) by_rule[k - q->free_stages] = -r->gradient[k];
+    for (size_t k = free_moves; k < N * motors; k++) by_rule[k - free_moves] = -r->gradient[k];
     for (int with = 0; with < 2; with++) {
         tr_proof proof = {r->command, with ? by_lower : NULL, with ? by_upper : NULL, by_rule, lower, upper, excess,
                           0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
@@ -70,33 +71,33 @@ static void run(FILE *file)
         arrays[i] = doubles((size_t)lengths[i]);
         read_or_stop(arrays[i], sizeof(double), (size_t)lengths[i], file);
     }
-    tr_problem q = {of[0], of[1], of[2], of[3], of[4], of[5], of[6], of[7], of[8],
+    tr_problem q = {of[0], of[1], of[2], of[3], of[4], of[5], of[6], of[7], of[8], of[9],
                     arrays[0], arrays[1], arrays[2], arrays[3], arrays[4], arrays[5], arrays[6], arrays[7], arrays[8],
                     arrays[9], arrays[10], arrays[11], arrays[12], arrays[13], arrays[14], arrays[15], arrays[16],
                     arrays[17], arrays[18], arrays[19],
                     numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5]};
-    const size_t N = (size_t)q.stages, rows = (N + 1) * (size_t)q.rows;
+    const size_t N = (size_t)q.stages, rows = (N + 1) * (size_t)q.rows, moves = N * (size_t)q.motors;
     const tr_options options = {60, 1e-9, NULL};
     tr_problem beside[BESIDE];
     tr_result r[BESIDE];
     for (int i = 0; i < BESIDE; i++) {
-        const tr_result empty = {doubles(N), doubles(N), doubles(rows), doubles(rows), doubles(N), doubles((size_t)q.nodes),
+        const tr_result empty = {doubles(moves), doubles(N), doubles(rows), doubles(rows), doubles(moves), doubles((size_t)q.nodes),
                                  0, 0, 0.0, 0.0, 0.0};
         beside[i] = q;
         r[i] = empty;
         /* A result that is not written, as of a breakdown at once, is zero as from Python. */
-        for (size_t k = 0; k < N; k++) r[i].command[k] = 0.0;
+        for (size_t k = 0; k < moves; k++) r[i].command[k] = 0.0;
     }
     double *workspace = doubles(tr_workspace(BESIDE, beside));
     tr_solve(BESIDE, beside, &options, workspace, r);
     /* Limits that are none are told once. */
-    for (int i = 0; i < (r[0].code == TR_NO_BOUNDS ? 1 : BESIDE); i++) tell("solve", r + i, q.stages);
+    for (int i = 0; i < (r[0].code == TR_NO_BOUNDS ? 1 : BESIDE); i++) tell("solve", r + i, (int)moves);
     free(workspace);
     if (!q.nodes && r->code <= TR_ACCURACY) tell_proof(&q, r);
     if (!q.rows && !q.nodes) {
         workspace = doubles(tr_workspace(1, &q));
         tr_linear(1, &q, &options, workspace, r);
-        tell("linear", r, q.stages);
+        tell("linear", r, (int)moves);
         free(workspace);
     }
     for (int i = 0; i < ARRAYS; i++) free(arrays[i]);

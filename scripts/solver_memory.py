@@ -3,10 +3,10 @@
     python scripts/solver_memory.py
 
 `solver_memory.c` solves problems of the built-in scenes (saturated, with temperature, with repeating taps, over a
-wall, at a rail, with an ideal amplifier, for several devices), the same without limits, horizons of one stage,
-infeasible limits, and problems with NaN. Its arrays have exact sizes, and all compiled vector widths are tested.
-Every run has to be free of errors and to agree with the installed extension. `recursions_memory.c` compares the
-recursions with explicit sums. Exit code 3: a tool is missing; the message names it.
+wall, at a rail, with an ideal amplifier, for several devices, with several motors), the same without limits, horizons
+of one stage, infeasible limits, and problems with NaN. Its arrays have exact sizes, and all compiled vector widths
+are tested. Every run has to be free of errors and to agree with the installed extension. `recursions_memory.c`
+compares the recursions with explicit sums. Exit code 3: a tool is missing; the message names it.
 """
 
 import shutil
@@ -34,7 +34,10 @@ from transopt.solvers import stage_data
 from transopt.solvers.native import extension
 from transopt.solvers.stage_data import Stages, without_limits
 
-SCENES = ("wood_on_foam", "hot_coil", "rapid_tapping", "walled", "low_supply", "ideal_amplifier", "small_coil")
+SCENES = (
+    *("wood_on_foam", "hot_coil", "rapid_tapping", "walled", "low_supply", "ideal_amplifier", "small_coil"),
+    "stylus_3d",
+)
 WHOLE = ("rapid_tapping",)  # one tap after the other fills its horizon: a shorter one has no solution
 STAGES = 80  # of the others: a run takes time in proportion, and no access to memory is another
 SOURCE = Path(__file__).with_suffix(".c")
@@ -117,8 +120,8 @@ def written(stages: Stages) -> bytes:
 
 def solving(given: Sequence[Stages]) -> str:
     """The flag that compiles the sizes of these problems only, which saves most of the compilation time."""
-    sizes = sorted({(stages.sizes["states"], stages.sizes["nodes"]) for stages in given})
-    return "-DSOLVES(n,t)=(" + "||".join(f"((n)=={states}&&(t)=={nodes})" for states, nodes in sizes) + ")"
+    sizes = sorted({tuple(stages.sizes[name] for name in ("states", "motors", "nodes")) for stages in given})
+    return "-DSOLVES(n,m,t)=(" + "||".join("((n)=={}&&(m)=={}&&(t)=={})".format(*each) for each in sizes) + ")"
 
 
 def expected(stages: Stages) -> list[list[float]]:
@@ -140,11 +143,11 @@ def expected(stages: Stages) -> list[list[float]]:
 
 def proved(stages: Stages, answer: extension.Answer, *, bare: bool) -> list[float]:
     """The installed extension's certificate of an answer; with `bare`, without multipliers of the rows."""
-    N, rule = stages.sizes["stages"], -answer.gradient[stages.sizes["free_stages"] :]
+    N, rule = stages.sizes["stages"], -np.ascontiguousarray(answer.gradient.T[stages.sizes["free_stages"] :])
     own = np.ascontiguousarray([stages.arrays[name].reshape(N + 1, -1)[:N] for name in ("lower", "upper")])
     stages = replace(stages, limits=replace(stages.limits, asked=own)) if stages.sizes["rows"] else stages
     by_row = None if bare else (answer.lower[:N].copy(), answer.upper[:N].copy())
-    (p,) = extension.prove([extension.Judged(stages, answer.command, by_row, rule)])
+    (p,) = extension.prove([extension.Judged(stages, np.ascontiguousarray(answer.command.T), by_row, rule)])
     most = max(float(p.excess.max(initial=0.0)), 0.0)
     return [0, 0, p.objective, p.slack + p.residual + p.by_command + p.by_movement + most]
 

@@ -34,11 +34,11 @@ from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import Effect, certify, relaxed_bound
 from transopt.solvers.native.extension import (
     ACCURACY,
-    MOST_STATES,
     SOLVED,
     available,
     interior_points,
     linear_passes,
+    takes,
 )
 from transopt.solvers.stage_data import stages, without_limits_of
 
@@ -134,15 +134,9 @@ def _boundable(problem: TransientProblem) -> bool:
 
 
 def _unlimited(problems: Sequence[TransientProblem]) -> list[FloatArray | None]:
-    """(N,) optima of J without limits by the compiled pass; None if unavailable or if its gap is too large."""
-    if problems and problems[0].stage.motors > 1:
-        # Only a library of several motors needs this import.
-        from transopt.solvers import several
-
-        found = [several.unlimited(problem) for problem in problems]
-        return [None if free is None else free.command for free in found]
+    """(N,) or (m, N) optima of J without limits by the compiled pass; None without it or with too large a gap."""
     given = without_limits_of(problems) if available else []
-    if not given or max(each.sizes["states"] for each in given) > MOST_STATES:
+    if not all(takes(each.sizes["states"], each.sizes["motors"], 0) for each in given) or not given:
         return [None] * len(problems)
     return [
         each.free_command(answer.command)

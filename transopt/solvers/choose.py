@@ -15,7 +15,7 @@ from transopt.problem.answer import Certificate, Multipliers, Solution, Status
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import Effect, effects
-from transopt.solvers import riccati, several
+from transopt.solvers import riccati
 from transopt.solvers.options import SolverOptions, default_solver, most_time_s
 from transopt.solvers.prove import certificates, certified
 
@@ -75,12 +75,6 @@ def _casadi_ipopt(problem: TransientProblem, options: SolverOptions) -> Solution
     return casadi_ipopt.solve(problem, options)
 
 
-def _own(problems: Sequence[TransientProblem], options: SolverOptions) -> list[Solution]:
-    """The project's own method: problems of one motor side by side, those of several motors one by one."""
-    of_one_motor = iter(riccati.solve([each for each in problems if each.stage.motors == 1], options))
-    return [next(of_one_motor) if each.stage.motors == 1 else several.solve(each, options) for each in problems]
-
-
 @dataclass(frozen=True)
 class Solver:
     """A method for any number of problems, and the test whether it can take a problem."""
@@ -92,7 +86,7 @@ class Solver:
 # In order of preference; the first solver that takes a problem is its first choice. The project's own method needs
 # its compiled extension, PIQP takes QPs only, IPOPT takes every problem.
 SOLVERS: dict[str, Solver] = {
-    "riccati": Solver(_own, lambda problem: riccati.can_solve(problem) or several.can_solve(problem)),
+    "riccati": Solver(riccati.solve, riccati.can_solve),
     "casadi-piqp": Solver(_apart("casadi-piqp", _casadi_piqp), lambda problem: not problem.nonlinear),
     "casadi-ipopt": Solver(_apart("casadi-ipopt", _casadi_ipopt), lambda problem: True),
 }

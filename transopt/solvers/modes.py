@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from transopt.base.signals import FloatArray
+from transopt.base.signals import ComplexArray, FloatArray
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage import LinearStage, layout
+from transopt.problem.stage import Layout, LinearStage, layout
 
 # Largest condition number of T for which modal coordinates are used. The built-in scenes have at most 33; a wall's
 # delay line is not diagonalisable. The compiled certificate uses the same coordinates, so it does not see the
@@ -22,8 +22,9 @@ class Modes:
     Attributes
     ----------
     T : (n, n); the identity where the modes are ill conditioned.
-    A : (n, n) dynamics of z: complex modes in pairs, then the real ones, all driven by the held command (last state).
-    current : index of the mode that is the current; -1 without an amplifier.
+    A : (n, n) dynamics of z: complex modes in pairs, then the real ones, all driven by the held commands, the last
+        states.
+    current : index of the mode that is the first motor's current; -1 without an amplifier.
     """
 
     T: FloatArray
@@ -35,7 +36,11 @@ def modes_of(problem: TransientProblem, stage: LinearStage) -> Modes:
     """The modes of a linear stage, cached with the device."""
     where = layout(problem)
     current = where.current if where.amplifier else -1
-    return problem.stage.kept(Modes, (stage.A,), current, lambda: _of_dynamics(stage.A, current))
+
+    def found() -> Modes:
+        return _of_dynamics(stage.A, current) if where.motors == 1 else _of_motors(stage, where)
+
+    return problem.stage.kept(Modes, (stage.A,), (current, where.motors), found)
 
 
 def _of_dynamics(A: FloatArray, current: int) -> Modes:
@@ -43,17 +48,9 @@ def _of_dynamics(A: FloatArray, current: int) -> Modes:
     if not np.isfinite(A).all():
         return dense  # from a damaged file; the certificate refuses the answer
     values, vectors = np.linalg.eig(A[:-1, :-1])
-    columns, pattern = list[FloatArray](), np.eye(n, dtype=bool)
-    pattern[:, -1] = True
-    for vector in vectors.T[values.imag > 0]:
-        # Choose the phase of the eigenvector for which its real and imaginary parts are orthogonal.
-        turned = vector * np.exp(-0.5j * np.angle(np.sum(vector**2)))
-        at = len(columns)
-        pattern[at : at + 2, at : at + 2] = True
-        columns += [turned.real, turned.imag]
-    columns += list(vectors.T[values.imag == 0].real)
+    pairs, real = _columns(values, vectors)
     T = np.eye(n)
-    T[:-1, :-1] = np.array(columns).T
+    T[:-1, :-1] = np.array([*pairs, *real]).T
     T /= np.maximum(np.linalg.norm(T, axis=0), np.finfo(float).tiny)
     if current >= 0:
         # Only the command acts on the current, so that the current is itself a mode; it keeps its unit.
@@ -62,4 +59,69 @@ def _of_dynamics(A: FloatArray, current: int) -> Modes:
         T[current] = np.arange(n) == own
     if not np.linalg.cond(T) <= MOST_CONDITION:
         return dense
-    return Modes(T, np.where(pattern, np.linalg.solve(T, A @ T), 0.0), own if current >= 0 else -1)
+    found = np.where(_pattern(n, 1, len(pairs)), np.linalg.solve(T, A @ T), 0.0)
+    return Modes(T, found, own if current >= 0 else -1)
+
+
+def _of_motors(stage: LinearStage, where: Layout) -> Modes:
+    """The modes of a device with several motors, whose amplifiers, and error filters, have equal poles.
+
+    The order is complex modes in pairs, error filters, real modes, currents, commands. The eigenvectors of the
+    plant's modes include the response of the error filters, each of which keeps its two states as a pair.
+    """
+    n, m, A = stage.units.size, stage.motors, stage.A
+    dense = Modes(np.eye(n), A, where.current if where.amplifier else -1)
+    if not np.isfinite(A).all():
+        return dense
+    size, before = sum(where.plants), n - m
+    pole = float(A[where.current, where.current]) if where.amplifier else 0.0
+    plant, filters = slice(size), slice(size + m * int(where.amplifier), before)
+    values, vectors = np.linalg.eig(A[plant, plant])
+    try:
+        whole = np.zeros((n, size), dtype=complex)
+        whole[plant] = vectors
+        for j, value in enumerate(values):
+            whole[filters, j] = _driven(A, filters, value, A[filters, plant] @ vectors[:, j])
+        currents = np.zeros((n, m if where.amplifier else 0))
+        for c in range(currents.shape[1]):
+            at = where.currents[c]
+            currents[at, c] = 1.0
+            currents[plant, c] = _driven(A, plant, pole, A[plant, at]).real
+            by = A[filters, plant] @ currents[plant, c] + A[filters, at]
+            currents[filters, c] = _driven(A, filters, pole, by).real
+    except np.linalg.LinAlgError:
+        return dense
+    pairs, real = _columns(values, whole)
+    own = np.eye(n)
+    columns = [*pairs, *own[filters], *real]
+    T = np.array([*(column / max(np.linalg.norm(column), 1e-300) for column in columns), *currents.T, *own[-m:]]).T
+    if not np.linalg.cond(T) <= MOST_CONDITION:
+        return dense
+    found = np.where(_pattern(n, m, len(pairs) + before - filters.start), np.linalg.solve(T, A @ T), 0.0)
+    return Modes(T, found, before - m if where.amplifier else -1)
+
+
+def _columns(values: ComplexArray, vectors: ComplexArray) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Real columns of eigenvectors: those of complex modes in pairs, and those of real modes."""
+    pairs = []
+    for vector in vectors.T[values.imag > 0]:
+        # Choose the phase of the eigenvector for which its real and imaginary parts are orthogonal.
+        turned = vector * np.exp(-0.5j * np.angle(np.sum(vector**2)))
+        pairs += [turned.real, turned.imag]
+    return pairs, list(vectors.T[values.imag == 0].real)
+
+
+def _driven(A: FloatArray, states: slice, pole: complex, by: FloatArray) -> FloatArray:
+    """Part of an eigenvector in driven states, y with (A - pole) y = -by."""
+    own = A[states, states]
+    return np.asarray(np.linalg.solve(own - pole * np.eye(own.shape[0]), -by))
+
+
+def _pattern(n: int, m: int, paired: int) -> FloatArray:
+    """(n, n) sparsity of A in modal coordinates: the first `paired` states in pairs, and the commands' columns."""
+    found = np.eye(n, dtype=bool)
+    found[:, n - m :] = True
+    for first in range(0, paired, 2):
+        found[first : first + 2, first : first + 2] = True
+    found[n - m :, n - m :] = np.eye(m, dtype=bool)
+    return found

@@ -15,7 +15,7 @@ from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import TEMPERATURE, Effect, certify, is_stated, left_over
-from transopt.solvers.native.extension import MOST_ROWS, MOST_STATES, Judged, Proof, available, prove
+from transopt.solvers.native.extension import Judged, Proof, available, prove, takes
 from transopt.solvers.stage_data import Stages, stages_of
 
 
@@ -37,7 +37,7 @@ def certificates(answers: Sequence[tuple[Effect, Multipliers]]) -> list[Certific
     known = [i for i, mean in enumerate(means) if _is_known(*mean)]
     problems = [means[i][0].problem for i in known]
     given = stages_of([problem.without(TemperatureLimit.name) for problem in problems])
-    fit = [each.sizes["rows"] <= MOST_ROWS and each.sizes["states"] <= MOST_STATES for each in given]
+    fit = [takes(*(each.sizes[name] for name in ("states", "motors", "rows"))) for each in given]
     asked = [_asked(*means[i], each) for i, each, fits in zip(known, given, fit, strict=True) if fits]
     proofs: dict[int, Certificate | None] = {}
     if asked:  # empty without the extension
@@ -73,12 +73,7 @@ def _of_the_worst(mean: Certificate, effect: Effect) -> Certificate:
 def _is_known(effect: Effect, multipliers: Multipliers) -> bool:
     """Whether the compiled call can judge a problem, its command and its multipliers."""
     problem, command = effect.problem, effect.command
-    if (
-        not available
-        or problem.stage.motors > 1
-        or problem.reference_is_zero
-        or set(problem.nonlinear) - {TemperatureLimit.name}
-    ):
+    if not available or problem.reference_is_zero or set(problem.nonlinear) - {TemperatureLimit.name}:
         return False
     # Extended precision and values that are not finite are left to `proof.certify`.
     if not command.dtype == problem.stage.A.dtype == np.float64 or multipliers.upper(TEMPERATURE).any():
@@ -97,8 +92,10 @@ def _asked(effect: Effect, multipliers: Multipliers, given: Stages) -> Judged:
                 sides[..., j] = multipliers.pairs[row.name]
         lower, upper = np.maximum(sides, 0.0) * by
         by_row = lower, upper
-    by_rule = multipliers.hand_over * (given.input_scale / OBJECTIVE_SCALE)
-    return Judged(given, effect.command / given.input_scale, by_row, by_rule)
+    # Stage by stage, with the numbers of several motors side by side.
+    command = np.ascontiguousarray(effect.command.T / given.input_scale)
+    by_rule = np.ascontiguousarray(multipliers.hand_over.T * (given.input_scale / OBJECTIVE_SCALE))
+    return Judged(given, command, by_row, by_rule)
 
 
 def _units(problem: TransientProblem, given: Stages) -> FloatArray:

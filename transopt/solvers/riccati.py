@@ -11,7 +11,7 @@ from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import layout
 from transopt.proof.farkas import is_infeasible
-from transopt.solvers.native.extension import MOST_ROWS, MOST_STATES, Answer, available, interior_points
+from transopt.solvers.native.extension import Answer, available, interior_points, takes
 from transopt.solvers.options import SolverOptions
 from transopt.solvers.stage_data import Stages, stages, stages_of
 
@@ -37,11 +37,10 @@ def can_solve(problem: TransientProblem) -> bool:
     """Whether the extension exists and the problem fits it; many devices may have too many states or rows."""
     nodes = 0 if problem.thermal is None else problem.thermal.model.nodes
     # The temperature is the only nonlinear limit that the compiled recursion can handle.
-    if set(problem.nonlinear) - {TemperatureLimit.name} or problem.stage.motors > 1:
+    if set(problem.nonlinear) - {TemperatureLimit.name}:
         return False
-    if len(problem.rows()) + ROWS_OF_HEAT > MOST_ROWS:
-        return False
-    return available and layout(problem).states + nodes <= MOST_STATES
+    where = layout(problem)
+    return available and takes(where.states + nodes, where.motors, len(problem.rows()) + ROWS_OF_HEAT)
 
 
 def solve(problems: Sequence[TransientProblem], options: SolverOptions) -> list[Solution]:

@@ -162,7 +162,7 @@ class Rows:
     Attributes
     ----------
     kinds : names of the rows; the winding's row is the first if there is one.
-    G : (rows, n). d, d_size : (rows,). lower, upper : (N + 1, rows), infinite where there is no limit.
+    G : (rows, n). d : (rows, m). d_size : (rows,). lower, upper : (N + 1, rows), infinite where there is no limit.
     asked : (2, N, rows) bounds for certification, stated also at instants at which the value is fixed; only for
         problems without temperature.
     unit : (rows,) divisor of a row: its largest bound in units of the program, so that limits are of order one.
@@ -182,7 +182,7 @@ def _rows(problem: TransientProblem, stage: LinearStage) -> Rows:
     N, thermal = problem.grid.stages, problem.thermal
     none, every = np.zeros(stage.units.size), slice(N)
     kinds: list[str] = []
-    found: list[tuple[FloatArray, float, float, FloatArray, FloatArray]] = []
+    found: list[tuple[FloatArray, FloatArray, float, FloatArray, FloatArray]] = []
 
     def row(
         kind: str,
@@ -192,12 +192,13 @@ def _rows(problem: TransientProblem, stage: LinearStage) -> Rows:
         lower: FloatArray | float,
         upper: FloatArray | float,
         stages: slice,
+        motor: int = 0,
     ) -> None:
         """Append a row that is bounded at some stages."""
         bounds = np.array([np.full(N + 1, -np.inf), np.full(N + 1, np.inf)])
         bounds[0, stages], bounds[1, stages] = lower, upper
         kinds.append(kind)
-        found.append((G, d, d_size, bounds[0], bounds[1]))
+        found.append((G, d * (np.arange(stage.motors) == motor), d_size, bounds[0], bounds[1]))
 
     if thermal is not None:
         row(WINDING, none, 0.0, 0.0, -np.inf, thermal.model.headroom_K / kelvin(problem), slice(1, N + 1))
@@ -206,7 +207,7 @@ def _rows(problem: TransientProblem, stage: LinearStage) -> Rows:
             found[-1][3][0] = 0.0
     every_row = stated_rows(problem, stage)
     for stated in every_row:
-        row(stated.name, stated.G, stated.d, 0.0, stated.lower, stated.upper, every)
+        row(stated.name, stated.G, stated.d, 0.0, stated.lower, stated.upper, every, stated.motor)
     if thermal is not None:
         # size >= |mean i|: the kink of Eq. 7 as two smooth rows, which Newton's method can handle.
         # The unit is the input scale, as for the named outputs.
@@ -226,7 +227,7 @@ def _rows(problem: TransientProblem, stage: LinearStage) -> Rows:
     whole = np.zeros((2, N, 0))
     if thermal is None:
         whole = np.ascontiguousarray(np.stack([stated.asked for stated in every_row], axis=-1) / unit)
-    return Rows(tuple(kinds), G / by, d / unit, d_size / unit, (lower / by).T, (upper / by).T, whole, unit)
+    return Rows(tuple(kinds), G / by, d / by, d_size / unit, (lower / by).T, (upper / by).T, whole, unit)
 
 
 @dataclass(frozen=True)
@@ -253,19 +254,19 @@ class Stages:
         return {name: address(array) for name, array in self.arrays.items()}
 
     def command(self, scaled: FloatArray) -> FloatArray:
-        """(N,) commands [A] from scaled ones (N,), clipped to the command bound (`held`)."""
+        """(N,) or (m, N) commands [A] from scaled ones, clipped to the command bound (`held`)."""
         return held(self.problem, scaled * self.input_scale)
 
     def free_command(self, scaled: FloatArray) -> FloatArray:
-        """(N,) commands [A] from scaled ones (N,) of the problem without limits, not clipped."""
+        """(N,) or (m, N) commands [A] from scaled ones of the problem without limits, not clipped."""
         return ended(self.problem, scaled * self.input_scale)
 
     def hand_over(self, gradient: FloatArray) -> FloatArray:
-        """(hand_over_samples,) multipliers of the hand-over [1/A] from the gradient (N,) by the movements."""
-        return np.asarray(-gradient[self.problem.free_stages :] * (OBJECTIVE_SCALE / self.input_scale))
+        """(h,) or (m, h) multipliers of the hand-over of h samples [1/A] from the gradient by the movements."""
+        return np.ascontiguousarray(-gradient[..., self.problem.free_stages :] * (OBJECTIVE_SCALE / self.input_scale))
 
     def multipliers(self, by_row: FloatArray, gradient: FloatArray) -> Multipliers:
-        """Multipliers of J in SI, from the scaled ones (N + 1, rows), upper less lower, and the gradient (N,)."""
+        """Multipliers of J in SI, from the scaled ones (N + 1, rows), upper less lower, and the gradient."""
         problem, N = self.problem, self.sizes["stages"]
         scaled = dict(zip(self.limits.kinds, (by_row / self.limits.unit).T, strict=True))
         pairs, slope = {}, np.zeros(N)
@@ -366,8 +367,9 @@ def _shared_by(problem: TransientProblem) -> tuple[object, ...] | None:
 def _template_of(problem: TransientProblem, stage: LinearStage) -> _Template:
     where, modes, limits = layout(problem), modes_of(problem, stage), _rows(problem, stage)
     m = 0 if problem.thermal is None else problem.thermal.model.nodes
-    gains, offsets = hand_over.rows(problem, stage)
-    gains[:, -1] -= 1.0  # c_k = rows x_k + constant, and dc_k = c_k - c_(k-1)
+    # For each stage and motor c_k = rows x_k + constant, and dc_k = c_k - c_(k-1).
+    gains, offsets = (np.repeat(each, stage.motors, axis=0) for each in hand_over.rows(problem, stage))
+    gains[:, -stage.motors :] -= np.tile(np.eye(stage.motors), (problem.hand_over_samples, 1))
     heat = (
         dict.fromkeys(("M", "b", "gain", "square", "F", "f"), np.zeros(4))
         if m == 0
@@ -390,8 +392,9 @@ def _template_of(problem: TransientProblem, stage: LinearStage) -> _Template:
             "stages": problem.grid.stages,
             "free_stages": problem.free_stages,
             "states": where.states,
+            "motors": where.motors,
             "outputs": where.outputs,
-            "rows": limits.d.size,
+            "rows": limits.d_size.size,
             "nodes": m,
             "current": modes.current,
             "repeated": int(m > 0 and problem.thermal is not None and problem.thermal.model.closure is not None),

@@ -15,7 +15,7 @@ from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers, S
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import layout
 from transopt.proof.certify import Effect, certify, movement_bound, reduced_gradient
-from transopt.solvers import several, stage_data
+from transopt.solvers import stage_data
 from transopt.solvers.native import extension
 from transopt.solvers.options import most_time_s
 
@@ -39,15 +39,8 @@ def _accepted(problem: TransientProblem, own: Solution | None) -> Solution:
     """The compiled pass's answer if it is optimal; otherwise that of the other method, if that one is optimal."""
     if own is not None and own.status is Status.OPTIMAL:
         return own
-    other = _beside(problem)
+    other = solve_apart(problem)
     return other if own is None or other.status is Status.OPTIMAL else replace(own, status=Status.OPTIMAL)
-
-
-def _beside(problem: TransientProblem) -> Solution:
-    """Solve a problem that the compiled pass for one motor cannot take, or solves too coarsely."""
-    if problem.stage.motors == 1:
-        return solve_apart(problem)
-    return several.unlimited(problem) or _by_sparse_system(problem)
 
 
 def _by_sparse_system(problem: TransientProblem) -> Solution:
@@ -67,8 +60,7 @@ def _by_compiled_pass(problems: Sequence[TransientProblem]) -> list[Solution | N
     if not extension.available:
         return [None] * len(problems)
     found: list[Solution | None] = [None] * len(problems)
-    layouts = [layout(problem) for problem in problems]
-    taken = [i for i, each in enumerate(layouts) if each.motors == 1 and each.states <= extension.MOST_STATES]
+    taken = [i for i, each in enumerate(map(layout, problems)) if extension.takes(each.states, each.motors, 0)]
     given = stage_data.without_limits_of([problems[i] for i in taken])
     answers = extension.linear_passes(given, GAP)
     spent = (time.perf_counter() - start) / max(len(taken), 1)
@@ -94,8 +86,8 @@ def solve_apart(problem: TransientProblem) -> Solution:
     try:
         return apart.call(solve_sparse, problem, within_s=within_s)
     except apart.UnansweredError as why:
-        nothing, none = np.zeros(problem.grid.stages), Multipliers.zero(problem)
-        return Solution(Status.NUMERICAL_FAILURE, nothing, none, "unlimited", str(why), 0, within_s)
+        none = Multipliers.zero(problem)
+        return Solution(Status.NUMERICAL_FAILURE, problem.rest, none, "unlimited", str(why), 0, within_s)
 
 
 def solve_sparse(problem: TransientProblem) -> Solution:

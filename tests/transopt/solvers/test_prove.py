@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from problems.stress.draw import drawn
+from tests.benches import arms
 from tests.conftest import ProblemMaker
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
@@ -54,13 +55,13 @@ def around(problem: TransientProblem, command: FloatArray, m: Multipliers) -> It
     random, unit = np.random.default_rng(0), problem.limits.input_limit
     yield command, m
     for size in (1e-6, 1e-2):
-        yield command + size * unit * random.standard_normal(command.size), m
+        yield command + size * unit * random.standard_normal(command.shape), m
         pairs = {
             row: (low, high + size / unit * random.random(high.size)) if row != TEMPERATURE else (low, high)
             for row, (low, high) in m.pairs.items()
         }
         yield command, replace(m, pairs=pairs)
-        yield command, replace(m, hand_over=m.hand_over + size / unit * random.standard_normal(m.hand_over.size))
+        yield command, replace(m, hand_over=m.hand_over + size / unit * random.standard_normal(m.hand_over.shape))
 
 
 def assert_same(one: Certificate, other: Certificate) -> None:
@@ -120,6 +121,16 @@ class TestByTheCall:
             answer = solve(changed)
             for command, multipliers in around(changed, answer.command, answer.multipliers):
                 assert_same(certified(changed, command, multipliers), certify(changed, command, multipliers))
+
+
+@pytest.mark.usefixtures("compiled")
+@pytest.mark.parametrize("seed", [1, 4, 6])
+def test_agrees_on_several_motors(seed: int) -> None:
+    problem = arms.drawn(seed)
+    answer = solve(problem)
+    assert answer.multipliers.largest > 0
+    for command, multipliers in around(problem, answer.command, answer.multipliers):
+        assert_same(certified(problem, command, multipliers), certify(problem, command, multipliers))
 
 
 @pytest.mark.usefixtures("compiled")

@@ -24,13 +24,12 @@ from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import layout, linear_stage
 from transopt.proof.certify import Effect, binding_limits, certify, reduced_gradient
 from transopt.proof.farkas import is_infeasible
-from transopt.solvers import several, unlimited
-from transopt.solvers.choose import solve, solve_certified
-from transopt.solvers.native import motors
+from transopt.solvers import modes, riccati, unlimited
+from transopt.solvers.choose import solve, solve_all, solve_certified
+from transopt.solvers.native import extension
 from transopt.solvers.options import SolverOptions
-from transopt.solvers.several import modes
 
-pytestmark = pytest.mark.skipif(not motors.available, reason="the extension is not built")
+pytestmark = pytest.mark.skipif(not extension.available, reason="the extension is not built")
 OPTIONS = SolverOptions("riccati")
 
 
@@ -42,7 +41,7 @@ def within(one: float, other: float, tolerance: float) -> bool:
 @pytest.mark.parametrize("seed", range(40))
 def test_the_optimum_is_that_of_an_independent_dense_program(seed: int) -> None:
     problem = drawn(seed)
-    answer = several.solve(problem, OPTIONS)
+    answer = solve(problem, OPTIONS)
     proof = certify(problem, answer.command, answer.multipliers)
     independent = Dense.of(problem)
     _, optimum = independent.optimum(problem)
@@ -53,11 +52,28 @@ def test_the_optimum_is_that_of_an_independent_dense_program(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3, 4])
-def test_modes_and_dense_matrices_give_one_answer(seed: int) -> None:
+def test_modes_and_dense_matrices_give_one_answer(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    by_modes = solve(drawn(seed), OPTIONS)
+    monkeypatch.setattr(modes, "MOST_CONDITION", 0.0)
     problem = drawn(seed)
-    by_modes, dense = (several.solve(problem, OPTIONS, modal=modal) for modal in (True, False))
+    dense = solve(problem, OPTIONS)
+    assert np.array_equal(modes.modes_of(problem, linear_stage(problem)).T, np.eye(layout(problem).states))
     values = [certify(problem, each.command, each.multipliers).objective for each in (by_modes, dense)]
     assert within(*values, 1e-8)
+
+
+def test_problems_side_by_side_have_the_answers_that_they_have_alone() -> None:
+    problem = posed(phantom().plant(2.0))
+    several = [problem.towards(problem.reference_m_s2 * by) for by in np.linspace(0.6, 1.4, 9)]
+    together = solve_all(several, OPTIONS)
+    # Two of them beside each other, whatever the others are, have the same bits.
+    again = solve_all(several[:8], OPTIONS)
+    for one, other in zip(together[:8], again, strict=True):
+        np.testing.assert_array_equal(one.command, other.command)
+    for each, answer in zip(several, together, strict=True):
+        proof, alone = certify(each, answer.command, answer.multipliers), solve(each, OPTIONS)
+        assert proof.accepted
+        assert within(proof.objective, certify(each, alone.command, alone.multipliers).objective, 1e-8)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -71,8 +87,9 @@ def test_piqp_finds_the_same_optimum_by_the_casadi_statement(seed: int) -> None:
 
 def test_states_in_modes_are_the_same_device() -> None:
     problem = posed(phantom().plant(2.0))
-    stage, where = linear_stage(problem), layout(problem)
-    A, T = modes(stage, where)
+    stage = linear_stage(problem)
+    found = modes.modes_of(problem, stage)
+    A, T = found.A, found.T
     assert not np.array_equal(T, np.eye(T.shape[0]))
     np.testing.assert_allclose(T @ A, stage.A @ T, atol=1e-10 * np.abs(stage.A).max())
 
@@ -130,7 +147,7 @@ class TestDecoupled:
 
     def test_has_the_designs_of_its_axes(self) -> None:
         joint, alone = self.problems()
-        answer = several.solve(joint, OPTIONS)
+        answer = solve(joint, OPTIONS)
         single = [solve(each, OPTIONS) for each in alone]
         proofs = [certify(p, s.command, s.multipliers) for p, s in zip(alone, single, strict=True)]
         found = certify(joint, answer.command, answer.multipliers)
@@ -151,8 +168,8 @@ class TestCertificate:
         problem = drawn(3)
         lot = np.random.default_rng(1)
         command, way = lot.standard_normal((2, *problem.rest.shape))
-        found = reduced_gradient(Effect(problem, command), several.solve(problem, OPTIONS).multipliers)
-        zero = reduced_gradient(Effect(problem, 0 * command), several.solve(problem, OPTIONS).multipliers)
+        found = reduced_gradient(Effect(problem, command), solve(problem, OPTIONS).multipliers)
+        zero = reduced_gradient(Effect(problem, 0 * command), solve(problem, OPTIONS).multipliers)
 
         def value(of: np.ndarray) -> float:
             return problem.objective(of, problem.accelerations(of))
@@ -165,7 +182,7 @@ class TestCertificate:
     @pytest.mark.parametrize("what", ["command", "multiplier", "sign", "nan"])
     def test_rejects_what_is_no_optimum(self, what: str) -> None:
         problem = drawn(6)
-        answer = several.solve(problem, OPTIONS)
+        answer = solve(problem, OPTIONS)
         command, multipliers = answer.command.copy(), answer.multipliers
         name = max(multipliers.pairs, key=lambda row: max(side.max() for side in multipliers.pairs[row]))
         lower, upper = multipliers.pairs[name]
@@ -182,7 +199,7 @@ class TestCertificate:
 
     def test_names_the_motor_that_is_at_its_limit(self) -> None:
         problem = posed(drawn_chain(np.random.default_rng(0), 3), limit_A=0.5, shares=(1.0, 1.0, 0.4))
-        answer = several.solve(problem, OPTIONS)
+        answer = solve(problem, OPTIONS)
         said = binding_limits(problem, answer.command, answer.multipliers)
         assert "of motor 1" in said
         assert "of motor 3, which has 0.4 of it" in said
@@ -196,7 +213,7 @@ def slow(problem: TransientProblem) -> TransientProblem:
 
 def test_slew_of_every_motor_is_kept() -> None:
     problem = slow(posed(drawn_chain(np.random.default_rng(2), 3)))
-    answer = several.solve(problem, OPTIONS)
+    answer = solve(problem, OPTIONS)
     assert certify(problem, answer.command, answer.multipliers).accepted
     steps = np.abs(np.diff(answer.command, prepend=0.0, axis=1)).max(axis=1)
     np.testing.assert_allclose(steps, 20.0 * problem.grid.dt_s, rtol=1e-6)
@@ -215,7 +232,7 @@ def test_claims_infeasibility_only_with_a_proof() -> None:
             return (replace(rows[0], lower=lower, upper=np.maximum(lower, self.limit)), *rows[1:])
 
     impossible = replace(problem, limits=limits_of(Pushed(2.5), CommandLimit(2.6)))
-    answer = several.solve(impossible, OPTIONS)
+    answer = solve(impossible, OPTIONS)
     assert answer.status is Status.INFEASIBLE
     assert is_infeasible(impossible, answer.command, answer.multipliers)
     assert not is_infeasible(problem, answer.command, answer.multipliers)
@@ -233,16 +250,16 @@ def test_unlimited_optimum_without_the_extension(monkeypatch: pytest.MonkeyPatch
     problem = posed(drawn_chain(np.random.default_rng(4), 3), limit_A=500.0)
     problem = replace(problem, limits=limits_of(CurrentLimit(500.0), CommandLimit(500.0)))
     own = unlimited.solve([problem])[0]
-    monkeypatch.setattr(several, "available", False)
+    monkeypatch.setattr(extension, "available", False)
     free = unlimited.solve([problem])[0]
     assert free.message == "sparse KKT system"
     assert certify(problem, free.command, free.multipliers).accepted
     np.testing.assert_allclose(free.command, own.command, atol=1e-6)
 
 
-def test_falls_back_to_piqp_without_the_extension(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_falls_back_to_piqp_where_the_method_takes_it_not(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = drawn(5)
-    monkeypatch.setattr(several, "available", False)
+    monkeypatch.setattr(riccati, "takes", lambda *_: False)
     found = solve_certified([problem], OPTIONS)[0]
     assert found.solution.solver == "casadi-piqp"
     assert found.proof.accepted

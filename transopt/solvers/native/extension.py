@@ -21,15 +21,15 @@ from transopt.solvers.bounds import check_bounds
 from transopt.solvers.stage_data import Stages
 
 EXTENSION = "_riccati.pyd" if os.name == "nt" else "_riccati.so"
-MOST_STATES, MOST_ROWS = 96, 128  # of riccati.c
-INTERFACE = 8  # version as in `tr_interface` of riccati.c; both change with the meaning of arguments or results
+MOST_STATES, MOST_MOTORS, MOST_ROWS = 96, 4, 128  # of riccati.c
+INTERFACE = 9  # version as in `tr_interface` of riccati.c; both change with the meaning of arguments or results
 DOUBLES = ct.c_void_p  # address of an array; the caller keeps the array alive
 
 
 # `tr_problem` of riccati.c.
 PROBLEM_FIELDS: list[tuple[str, Any]] = [
-    *[(name, ct.c_int) for name in ("stages", "free_stages", "states", "outputs", "ends", "rows", "nodes")],
-    *[(name, ct.c_int) for name in ("current", "repeated")],
+    *[(name, ct.c_int) for name in ("stages", "free_stages", "states", "motors", "outputs", "ends", "rows")],
+    *[(name, ct.c_int) for name in ("nodes", "current", "repeated")],
     *[(name, DOUBLES) for name in ("A", "C", "E", "weight", "reference", "rule_gain", "rule_offset")],
     *[(name, DOUBLES) for name in ("end_gain", "end_target")],
     *[(name, DOUBLES) for name in ("G", "d", "d_size", "lower", "upper")],
@@ -86,6 +86,13 @@ def _host() -> _Host:
 
 _LIBRARY = _library()
 available = _LIBRARY is not None
+
+
+def takes(states: int, motors: int, rows: int) -> bool:
+    """Whether the method takes problems of these sizes, the states of the temperature included."""
+    return states <= MOST_STATES and motors <= MOST_MOTORS and rows <= MOST_ROWS
+
+
 _HOST = ct.pointer(_host())
 SOLVED, ACCURACY, NO_BOUNDS = 0, 1, 6  # codes of an answer; the others are failures
 
@@ -96,7 +103,7 @@ class Answer(NamedTuple):
     Attributes
     ----------
     code : 0 solved, 1 solved up to rounding, otherwise a failure. gap, objective : in units of 1e-3.
-    command, gradient : (N,) commands, and the Lagrangian's gradient by the movements.
+    command, gradient : (N,) commands, and the Lagrangian's gradient by the movements; (m, N) with m motors.
     lower, upper : (N + 1, rows) multipliers >= 0.
     """
 
@@ -167,8 +174,8 @@ def _answers(method: Any, given: Sequence[Stages], asked: _Options) -> list[Answ
     found: dict[int, Answer] = {}
     for group in _of_equal_sizes(given):
         some, count = [given[i] for i in group], len(group)
-        N, rows, nodes = (some[0].sizes[name] for name in ("stages", "rows", "nodes"))
-        command, size, gradient = np.zeros((3, count, N))
+        N, motors, rows, nodes = (some[0].sizes[name] for name in ("stages", "motors", "rows", "nodes"))
+        (command, gradient), size = np.zeros((2, count, N, motors)), np.zeros((count, N))
         # An empty NumPy array has no usable address for C: there is always room for one row.
         sides = np.zeros((2, count, (N + 1) * max(rows, 1)))
         start = np.zeros((count, max(nodes, 1)))
@@ -178,7 +185,8 @@ def _answers(method: Any, given: Sequence[Stages], asked: _Options) -> list[Answ
         method(count, address(problems), ct.byref(asked), address(space), address(results))
         lower, upper = sides[..., : (N + 1) * rows].reshape(2, count, N + 1, rows)
         numbers = (results[name].tolist() for name in ("code", "iterations", "objective", "gap", "residual"))
-        found |= dict(zip(group, map(Answer, *numbers, command, gradient, lower, upper), strict=True))
+        waves = (np.swapaxes(each, 1, 2) if motors > 1 else each[..., 0] for each in (command, gradient))
+        found |= dict(zip(group, map(Answer, *numbers, *waves, lower, upper), strict=True))
     return [found[i] for i in range(len(given))]
 
 
@@ -239,9 +247,9 @@ class Judged(NamedTuple):
 
     Attributes
     ----------
-    command : (N,).
+    command : (N,), or (N, m) with m motors, contiguous.
     by_row : (N, rows) multipliers >= 0 of lower and of upper bounds, contiguous; None if all are zero.
-    by_rule : (h,) multipliers of the hand-over.
+    by_rule : (h,) or (h, m) multipliers of the hand-over, contiguous.
     """
 
     stages: Stages

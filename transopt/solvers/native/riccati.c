@@ -29,11 +29,14 @@ int tr_interrupted(tr_watch *watch)
 
 int tr_paired(const tr_problem *q)
 {
-    const int n = q->states, last = n - 1;
+    const int n = q->states, first = n - q->motors;
     for (int i = 0; i < n; i++)
-        for (int j = 0; j < last; j++)
-            if (j != i && (j != (i ^ 1) || i == last) && q->A[i * n + j] != 0.0) return 0;
-    return q->A[last * n + last] == 1.0;
+        for (int j = 0; j < n; j++) {
+            const double of = q->A[i * n + j];
+            if (i >= first && of != (i == j ? 1.0 : 0.0)) return 0;
+            if (j < first && j != i && j != (i ^ 1) && of != 0.0) return 0;
+        }
+    return 1;
 }
 
 /* Number of leading problems that can be solved side by side, at most `most`. Long problems would exceed the cache. */
@@ -67,11 +70,12 @@ static const tr_kernel *kernel_for(const tr_problem *q, int count, int *taken)
 }
 
 /* Version of the interface, incremented when arguments or results change; callers must check it. */
-int tr_interface(void) { return 8; }
+int tr_interface(void) { return 9; }
 
 static int fits(const tr_problem *q)
 {
-    if (q->states < 1 || q->ends < 0 || q->ends > q->states || q->nodes < 0 || q->nodes > MOST_NODES) return 0;
+    if (q->motors < 1 || q->motors > (q->nodes ? 1 : MOST_MOTORS) || q->states < q->motors) return 0;
+    if (q->ends < 0 || q->ends > q->states || q->nodes < 0 || q->nodes > MOST_NODES) return 0;
     if (q->states + q->nodes > MOST_STATES || q->rows < (q->nodes > 0) || q->rows > MOST_ROWS) return 0;
     if (q->outputs < 1 || q->outputs > MOST_ROWS) return 0;
     return q->stages >= 1 && q->free_stages >= 0 && q->free_stages <= q->stages;

@@ -4,23 +4,24 @@
 #include <stddef.h>
 #include <time.h>
 
-enum { MOST_STATES = 96, MOST_NODES = 2, MOST_ROWS = 128, MOST_ENTRIES = 8 };
+enum { MOST_STATES = 96, MOST_NODES = 2, MOST_MOTORS = 4, MOST_ROWS = 128, MOST_ENTRIES = 8 };
 enum { MOST_STATES_BESIDE = 32, MOST_STAGES_BESIDE = 4096 };
 
 typedef struct {
-    int stages, free_stages, states, outputs, ends, rows, nodes;
+    int stages, free_stages, states, motors, outputs, ends, rows;
+    int nodes;    /* of the temperature, which only a single motor has */
     int current;  /* index of the state that is the current; -1: the current is the command */
     int repeated; /* th_0 = F th_N + f */
-    const double *A, *C, *E;                 /* (n, n), (outputs, n), (outputs) */
+    const double *A, *C, *E;                 /* (n, n), (outputs, n), (outputs, m) */
     const double *weight, *reference;        /* (N, outputs), both */
-    const double *rule_gain, *rule_offset;   /* (N - free, n), (N - free) */
+    const double *rule_gain, *rule_offset;   /* (N - free, m, n), (N - free, m) */
     const double *end_gain, *end_target;     /* Z (ends, n), z (ends): terms in the state at N, for the time after */
-    const double *G, *d, *d_size;            /* (rows, n), (rows), (rows) */
+    const double *G, *d, *d_size;            /* (rows, n), (rows, m), (rows) */
     const double *lower, *upper;             /* (N + 1, rows), infinite where there is no limit */
     const double *M, *b, *gain, *square;     /* (nodes, nodes), (nodes), (N), (3): i_k^2, i_k i_(k+1), i_(k+1)^2 */
     const double *F, *f;                     /* (nodes, nodes), (nodes) */
     double movement_weight, decay, ripple, copper;
-    double command_bound;                    /* on |x_(n-1) + u|, used in the gap */
+    double command_bound;                    /* on a command's size, used in the gap */
     double constant;                         /* constant term of the objective; tolerances are relative to the latter */
 } tr_problem;
 
@@ -40,9 +41,9 @@ typedef struct {
 } tr_options;
 
 typedef struct {
-    double *command, *size;    /* (N) x_(n-1) + u; (N), not written if there are no nodes */
+    double *command, *size;    /* (N, m); (N), not written if there are no nodes */
     double *lower, *upper;     /* (N + 1, rows) multipliers */
-    double *gradient;          /* (N) of the Lagrangian by u, with the hand-over's rule as feedback */
+    double *gradient;          /* (N, m) of the Lagrangian by u, with the hand-over's rule as feedback */
     double *start;             /* (nodes) th_0 */
     int code, iterations;
     double objective, gap, residual;
@@ -51,9 +52,9 @@ typedef struct {
 /* Certificate of a command with multipliers in a problem without nodes. The tangent of the Lagrangian gives two lower
  * bounds of the optimum: objective - slack - by_command, and objective - slack - by_movement. */
 typedef struct {
-    const double *command;             /* (N) */
+    const double *command;             /* (N, m) */
     const double *by_lower, *by_upper; /* (N, rows) multipliers >= 0; NULL if all are zero */
-    const double *by_rule;             /* (N - free) multipliers of the hand-over */
+    const double *by_rule;             /* (N - free, m) multipliers of the hand-over */
     const double *lower, *upper;       /* (N, rows) bounds of the rows, used in place of the problem's own */
     double *excess;                    /* (rows) largest violation of each row, negative inside */
     double objective, slack;           /* slack: sum of multipliers times absolute slacks, the hand-over's included */
@@ -80,7 +81,7 @@ typedef struct {
 /* Whether the host wants the work to stop. */
 int tr_interrupted(tr_watch *watch);
 
-/* Whether A couples only states 2 i and 2 i + 1, and the last state, the held command, to all. */
+/* Whether A couples only states 2 i and 2 i + 1, and the last m states, the held commands, to all others. */
 int tr_paired(const tr_problem *q);
 
 /* The method, compiled for one register width; it solves `entries` problems of equal sizes at once. Each result has its

@@ -1,7 +1,7 @@
 /* A primal-dual interior-point method over the stages of one transient.
  *
- *     minimise    1/2 sum_k w_k |C x_k + E u_k - r_k|^2 + 1/2 s u_k^2 + 1/2 |Z x_N - z|^2 + constant
- *     subject to  x_(k+1) = A x_k + A[:, n-1] u_k,  x_0 = 0,
+ *     minimise    1/2 sum_k w_k |C x_k + E u_k - r_k|^2 + 1/2 s |u_k|^2 + 1/2 |Z x_N - z|^2 + constant
+ *     subject to  x_(k+1) = A x_k + B u_k,  x_0 = 0,  B the last m columns of A,
  *                 th_(k+1) = M th_k + b (gain_k + copper th_w,k) h_k,  th_0 = 0 or th_0 = F th_N + f,
  *                 h_k = quadratic in (current, command) + 2 ripple e_k + ripple^2,
  *                 u_k = f_k' x_k + g_k over the last stages (the hand-over),
@@ -9,10 +9,12 @@
  *
  * k = 0..N-1 but for the rows and the temperatures, which are bounded at N as well, where u_N = e_N = 0.
  *
- * The movement u and the size e of the mean current are the controls; x_(n-1) is the command held before. Predictor and
- * corrector follow Mehrotra (SIAM J. Optim. 2, 1992); each Newton step is a Riccati recursion (Rao, Wright, Rawlings,
- * J. Optim. Theory Appl. 99, 1998), in which the size is eliminated before the movement. Where the states form pairs
- * that only the held command couples to others, as the modes of a device do, products with A are computed pair by pair.
+ * The movements u of m motors and, with a temperature, which only a single motor has, the size e of its mean current are
+ * the controls; the last m states are the commands held before. Predictor and corrector follow Mehrotra (SIAM J. Optim.
+ * 2, 1992); each Newton step is a Riccati recursion (Rao, Wright, Rawlings, J. Optim. Theory Appl. 99, 1998), in which
+ * the controls are eliminated one by one: the size first, then the movements from the last motor to the first. The gain of
+ * a control is therefore one by the states and by the controls that are eliminated after it. Where the states form pairs
+ * that only the held commands couple to others, as the modes of a device do, products with A are computed pair by pair.
  * Every iterate obeys the dynamics exactly: states are rolled out, and the reduced gradient comes from the adjoint
  * recursion. Rounding in a factorisation therefore affects the quality of a step, but not the accuracy of the answer.
  *
@@ -189,10 +191,11 @@ typedef struct {
     int paired;                          /* A couples states 2 i and 2 i + 1, and the held command to all */
     int pairs_end;                       /* index of the first state that is not coupled in a pair */
     lanes own[MOST_BLOCKS], from_pair[MOST_BLOCKS], to_pair[MOST_BLOCKS]; /* its diagonal, A[j][j ^ 1] and A[j ^ 1][j] */
-    lanes push[MOST_BLOCKS], held[MOST_BLOCKS];                           /* its last column; one at the held command */
+    /* Its last columns; one at each held command. */
+    lanes push[MOST_MOTORS * MOST_BLOCKS], held[MOST_MOTORS * MOST_BLOCKS];
     unsigned char *tracked; /* (N, outputs) whether a weight is other than zero */
     lanes *K, *Ke;
-    number *Kth, *pivot;             /* gains of u by states and by nodes, inverse pivots */
+    number *Kth, *pivot;             /* gains of u by states and by nodes; (N, m, m) inverse pivots and, left of them, gains by u */
     number *Keth, *Ke_u, *pivot_e;  /* the same of e, its gain by u */
     number *offset, *offset_e;           /* Newton step without feedback */
     number *u, *e, *du, *de;
@@ -214,7 +217,8 @@ typedef struct {
     number P0[MOST_NODES * MOST_NODES], p0[MOST_NODES], th_end[MOST_NODES];
     number eta[MOST_NODES], d_eta[MOST_NODES], d_start[MOST_NODES];
     number closing[4 * MOST_NODES * MOST_NODES]; /* matrix of the closure's equations */
-    int direct[MOST_ROWS], moves[MOST_ROWS], sizes[MOST_ROWS]; /* whether E, d and d_size are other than zero */
+    /* Whether E, d and d_size are other than zero. */
+    int direct[MOST_MOTORS * MOST_ROWS], moves[MOST_MOTORS * MOST_ROWS], sizes[MOST_ROWS];
     int from[MOST_ROWS], to[MOST_ROWS];          /* range of states with the nonzeros of a row of G */
 } tr_work;
 
@@ -266,6 +270,7 @@ static size_t lay_out(tr_work *w, const tr_problem *const *all, double *space)
     const tr_problem *q = w->q = all[0];
     const size_t N = (size_t)q->stages, m = (N + 1) * (size_t)q->rows, ny = (size_t)q->outputs, t = (size_t)NODES(q);
     const size_t n = (size_t)q->states, ld = BLOCKS(n) * PER, ruled = N - (size_t)q->free_stages;
+    const size_t motors = (size_t)q->motors, moves = N * motors;
     size_t taken = 0;
     w->all = all;
     w->ld = (int)ld;
@@ -274,8 +279,8 @@ static size_t lay_out(tr_work *w, const tr_problem *const *all, double *space)
     w->A = take(space, &taken, ld * ld), w->At = take(space, &taken, ld * ld);
     w->C = take(space, &taken, ny * ld), w->G = take(space, &taken, (size_t)q->rows * ld);
     w->Z = take(space, &taken, (size_t)q->ends * ld), w->end_error = take(space, &taken, (size_t)q->ends);
-    w->K = take(space, &taken, N * ld), w->u = take(space, &taken, N), w->error = take(space, &taken, N * ny);
-    w->d_error = take(space, &taken, N * ny), w->offset = take(space, &taken, N), w->V = take(space, &taken, m);
+    w->K = take(space, &taken, moves * ld), w->u = take(space, &taken, moves), w->error = take(space, &taken, N * ny);
+    w->d_error = take(space, &taken, N * ny), w->offset = take(space, &taken, moves), w->V = take(space, &taken, m);
     for (tr_side *z = w->side; z < w->side + 2; z++) {
         z->there = take(space, &taken, m), z->bound = take(space, &taken, m);
         z->inverse = take(space, &taken, m), z->residual = take(space, &taken, m);
@@ -289,22 +294,22 @@ static size_t lay_out(tr_work *w, const tr_problem *const *all, double *space)
     w->current = take(space, &taken, warm), w->command = take(space, &taken, warm);
     w->d_current = take(space, &taken, warm), w->d_command = take(space, &taken, warm);
     w->still = take(space, &taken, warm), w->theta = take(space, &taken, (N + 1) * t);
-    w->pivot = take(space, &taken, N), w->dV = take(space, &taken, m);
-    w->kept_movement = take(space, &taken, N), w->kept_gradient = take(space, &taken, N);
+    w->pivot = take(space, &taken, moves * motors), w->dV = take(space, &taken, m);
+    w->kept_movement = take(space, &taken, moves), w->kept_gradient = take(space, &taken, moves);
     w->kept_size = take(space, &taken, warm);
     w->kept_lower = take(space, &taken, m), w->kept_upper = take(space, &taken, m);
     /* The arrays from here on are written before they are read and need no zeros. */
-    w->du = take(space, &taken, N), w->d_end_error = take(space, &taken, (size_t)q->ends);
+    w->du = take(space, &taken, moves), w->d_end_error = take(space, &taken, (size_t)q->ends);
     w->sigma = take(space, &taken, m), w->y = take(space, &taken, m);
     for (tr_side *z = w->side; z < w->side + 2; z++) {
         z->s = take(space, &taken, m), z->l = take(space, &taken, m);
     }
     w->tracked = take(space, &taken, N * ny); /* more than enough */
 #define OF_EACH(field, count) of_each((const void *const *)all, offsetof(tr_problem, field), count, space, &taken)
-    w->E = OF_EACH(E, ny), w->weight = OF_EACH(weight, N * ny), w->reference = OF_EACH(reference, N * ny);
-    w->rule_gain = OF_EACH(rule_gain, ruled * n), w->rule_offset = OF_EACH(rule_offset, ruled);
+    w->E = OF_EACH(E, ny * motors), w->weight = OF_EACH(weight, N * ny), w->reference = OF_EACH(reference, N * ny);
+    w->rule_gain = OF_EACH(rule_gain, ruled * motors * n), w->rule_offset = OF_EACH(rule_offset, ruled * motors);
     w->end_target = OF_EACH(end_target, (size_t)q->ends);
-    w->d = OF_EACH(d, (size_t)q->rows), w->d_size = OF_EACH(d_size, (size_t)q->rows);
+    w->d = OF_EACH(d, (size_t)q->rows * motors), w->d_size = OF_EACH(d_size, (size_t)q->rows);
     w->M = OF_EACH(M, t * t), w->b = OF_EACH(b, t), w->gain = OF_EACH(gain, warm), w->square = OF_EACH(square, t ? 3 : 0);
     w->F = OF_EACH(F, t * t), w->f = OF_EACH(f, t);
     return taken;
@@ -322,21 +327,21 @@ static size_t workspace(const tr_problem *q)
 /* Find out whether A couples states in pairs only, and store the coefficients. */
 static void pair_up(tr_work *w)
 {
-    const int n = w->q->states, last = n - 1;
+    const int n = w->q->states, motors = w->q->motors, first = n - motors, blocks = w->ld / PER;
     w->paired = tr_paired(w->q);
     for (int e = 0; e < ENTRIES; e++) {
         const double *A = w->all[e]->A;
-        for (int i = 0; i < last; i++) {
+        for (int i = 0; i < first; i++) {
             const int other = i ^ 1;
             EACH(AT(w->own, i), e) = A[i * n + i];
-            if (other < last) {
-                EACH(AT(w->from_pair, i), e) = A[i * n + other], EACH(AT(w->to_pair, i), e) = A[other * n + i];
-                if (A[i * n + other] != 0.0 && w->pairs_end < (i | 1) + 1) w->pairs_end = (i | 1) + 1;
-            }
-            EACH(AT(w->push, i), e) = A[i * n + last];
+            if (other >= first) continue;
+            EACH(AT(w->from_pair, i), e) = A[i * n + other], EACH(AT(w->to_pair, i), e) = A[other * n + i];
+            if (A[i * n + other] != 0.0 && w->pairs_end < (i | 1) + 1) w->pairs_end = (i | 1) + 1;
         }
-        EACH(AT(w->push, last), e) = A[last * n + last];
-        EACH(AT(w->held, last), e) = 1.0;
+        for (int c = 0; c < motors; c++) {
+            for (int i = 0; i < n; i++) EACH(AT(w->push + c * blocks, i), e) = A[i * n + first + c];
+            EACH(AT(w->held + c * blocks, first + c), e) = 1.0;
+        }
     }
 }
 
@@ -383,8 +388,9 @@ static void state(tr_work *w)
     w->copper = each(w->all, offsetof(tr_problem, copper));
     w->command_bound = each(w->all, offsetof(tr_problem, command_bound));
     w->constant = each(w->all, offsetof(tr_problem, constant));
-    for (int o = 0; o < w->q->outputs; o++) w->direct[o] = any(w->E[o]);
-    for (int i = 0; i < w->q->rows; i++) w->moves[i] = any(w->d[i]), w->sizes[i] = any(w->d_size[i]);
+    for (int o = 0; o < w->q->outputs * w->q->motors; o++) w->direct[o] = any(w->E[o]);
+    for (int i = 0; i < w->q->rows * w->q->motors; i++) w->moves[i] = any(w->d[i]);
+    for (int i = 0; i < w->q->rows; i++) w->sizes[i] = any(w->d_size[i]);
     for (int i = 0; i < w->q->stages * w->q->outputs; i++) w->tracked[i] = (unsigned char)any(w->weight[i]);
     pair_up(w);
     pad(w);
@@ -412,8 +418,9 @@ static void prepare(tr_work *w, const tr_problem *const *all, double *space, tr_
         }
     }
     state(w);
-    for (size_t k = free; k < stages; k++)
-        for (size_t j = 0; j < n; j++) AT(w->K, k * ld + j) = w->rule_gain[(k - free) * n + j];
+    const size_t motors = (size_t)all[0]->motors;
+    for (size_t at = free * motors; at < stages * motors; at++)
+        for (size_t j = 0; j < n; j++) AT(w->K, at * ld + j) = w->rule_gain[(at - free * motors) * n + j];
 }
 
 /* out = M' v, four rows of M at a time: short chains of additions. */
@@ -448,71 +455,106 @@ ALWAYS_INLINE void add(const int blocks, const number by, const lanes *restrict 
     for (int j = 0; j < blocks; j++) to[j] += by * c[j];
 }
 
-/* out = A x + A[:, n-1] u. */
-ALWAYS_INLINE void flow(const int last, const int blocks, const tr_work *w, const lanes *restrict x, const number u,
-                        lanes *restrict out)
+/* Add a multiple of a row c that is zero but between two of its states. */
+ALWAYS_INLINE void add_part(const int blocks, const number by, const lanes *restrict c, const int from, const int to,
+                            lanes *restrict out)
+{
+    for (int j = ENTRIES > 1 ? from : 0; j < (ENTRIES > 1 ? to : blocks); j++) out[j] += by * c[j];
+}
+
+/* out = A x + B u. */
+ALWAYS_INLINE void flow(const int first, const int motors, const int blocks, const tr_work *w, const lanes *restrict x,
+                        const number *u, lanes *restrict out)
 {
     if (ENTRIES == 1 && !w->paired) {
         combine(blocks, w->At, (const number *)x, out);
-        add(blocks, u, w->At + last * blocks, out);
+        for (int c = 0; c < motors; c++) add(blocks, u[c], w->At + (first + c) * blocks, out);
         return;
     }
     const int coupled = ENTRIES > 1 ? w->pairs_end : blocks;
-    const number command = AT(x, last) + u;
-    for (int j = 0; j < coupled; j++)
-        out[j] = (w->own[j] * x[j] + w->from_pair[j] * SWAPPED(x, j)) + command * w->push[j];
-    for (int j = coupled; j < blocks; j++) out[j] = w->own[j] * x[j] + command * w->push[j];
+    number command[MOST_MOTORS];
+    for (int c = 0; c < motors; c++) command[c] = AT(x, first + c) + u[c];
+    for (int j = 0; j < blocks; j++) {
+        lanes sum = w->own[j] * x[j];
+        if (j < coupled) sum += w->from_pair[j] * SWAPPED(x, j);
+        for (int c = 0; c < motors; c++) sum += command[c] * w->push[c * blocks + j];
+        out[j] = sum;
+    }
 }
 
 /* out = A' p. */
-ALWAYS_INLINE void flow_back(const int blocks, const tr_work *w, const lanes *restrict p, lanes *restrict out)
+ALWAYS_INLINE void flow_back(const int first, const int motors, const int blocks, const tr_work *w,
+                             const lanes *restrict p, lanes *restrict out)
 {
     if (ENTRIES == 1 && !w->paired) {
         combine(blocks, w->A, (const number *)p, out);
         return;
     }
     const int coupled = ENTRIES > 1 ? w->pairs_end : blocks;
-    const number command = dot(blocks, w->push, p);
-    for (int j = 0; j < coupled; j++)
-        out[j] = (w->own[j] * p[j] + w->to_pair[j] * SWAPPED(p, j)) + command * w->held[j];
-    for (int j = coupled; j < blocks; j++) out[j] = w->own[j] * p[j] + command * w->held[j];
+    number command[MOST_MOTORS];
+    for (int c = 0; c < motors; c++) command[c] = dot(blocks, w->push + c * blocks, p);
+    for (int j = 0; j < blocks; j++) {
+        lanes sum = w->own[j] * p[j];
+        if (j < coupled) sum += w->to_pair[j] * SWAPPED(p, j);
+        for (int c = 0; ENTRIES == 1 && c < motors; c++) sum += command[c] * w->held[c * blocks + j];
+        out[j] = sum;
+    }
+    for (int c = 0; ENTRIES > 1 && c < motors; c++) AT(out, first + c) += command[c];
+}
+
+/* pushed_c = P b_c of the columns of B. */
+ALWAYS_INLINE void push_back(const int n, const int motors, const int blocks, const tr_work *w, const lanes *restrict P,
+                             lanes *restrict pushed)
+{
+    memset(pushed, 0, (size_t)(motors * blocks) * sizeof(lanes));
+    for (int i = 0; i < n; i++) {
+        number by[MOST_MOTORS], rest[MOST_MOTORS] = {0}; /* of the row, which is not computed beyond its diagonal */
+        const lanes *row = P + i * blocks;
+        for (int c = 0; c < motors; c++) by[c] = AT(w->push + c * blocks, i);
+        for (int j = 0; j < LOWER(i, blocks); j++)
+            for (int c = 0; c < motors; c++) {
+                pushed[c * blocks + j] += by[c] * row[j];
+                if (ENTRIES > 1 && j < i) rest[c] += AT(w->push + c * blocks, j) * AT(row, j);
+            }
+        for (int c = 0; ENTRIES > 1 && c < motors; c++) AT(pushed + c * blocks, i) += rest[c];
+    }
 }
 
 /* H = A' P A of a symmetric P; PA is scratch. */
-ALWAYS_INLINE void congruence(const int n, const int blocks, const tr_work *w, const lanes *restrict P,
+ALWAYS_INLINE void congruence(const int n, const int motors, const int blocks, const tr_work *w, const lanes *restrict P,
                               lanes *restrict PA, lanes *restrict H)
 {
-    const int last = n - 1, ld = blocks * PER, coupled = ENTRIES > 1 ? w->pairs_end : blocks;
+    const int first = n - motors, ld = blocks * PER, coupled = ENTRIES > 1 ? w->pairs_end : blocks;
     if (ENTRIES == 1 && !w->paired) {
         for (int i = 0; i < ld; i++) combine(blocks, w->A, (const number *)(P + i * blocks), PA + i * blocks);
         for (int i = 0; i < ld; i++) combine(blocks, PA, (const number *)(w->At + i * blocks), H + i * blocks);
         return;
     }
-    lanes pushed[MOST_BLOCKS];
-    memset(pushed, 0, (size_t)blocks * sizeof(lanes));
-    for (int i = 0; i < n; i++) {
-        number rest = {0}; /* of the row, which is not computed beyond its diagonal */
-        add(LOWER(i, blocks), AT(w->push, i), P + i * blocks, pushed);
-        for (int j = 0; ENTRIES > 1 && j < i; j++) rest += AT(w->push, j) * AT(P, i * blocks + j);
-        if (ENTRIES > 1) AT(pushed, i) += rest;
-    }
-    flow_back(blocks, w, pushed, H + last * blocks);
-    for (int i = 0; i < last; i++) { /* of the last column only the last row is needed */
-        const int end = ENTRIES > 1 ? (i | 1) + 1 : blocks, pairs = coupled < end ? coupled : end;
-        for (int j = 0; j < pairs; j++)
-            PA[i * blocks + j] = w->own[j] * P[i * blocks + j] + w->to_pair[j] * SWAPPED(P + i * blocks, j);
-        for (int j = pairs; j < end; j++) PA[i * blocks + j] = w->own[j] * P[i * blocks + j];
-    }
-    for (int i = 0; i < last; i++) {
-        const int other = (i ^ 1) < last ? i ^ 1 : i, end = LOWER(i, blocks);
-        const number own = AT(w->own, i), pair = AT(w->to_pair, i), command = AT(H + last * blocks, i);
-        if (ENTRIES > 1 && i >= coupled) {
-            for (int j = 0; j < end; j++) H[i * blocks + j] = own * PA[i * blocks + j];
-            continue;
+    lanes pushed[MOST_MOTORS * MOST_BLOCKS];
+    push_back(n, motors, blocks, w, P, pushed);
+    for (int c = 0; c < motors; c++) flow_back(first, motors, blocks, w, pushed + c * blocks, H + (first + c) * blocks);
+    for (int i = 0; i < first; i += 2) { /* a pair of rows; of the last columns only the last rows are needed */
+        const int end = ENTRIES > 1 ? i + 2 : blocks, pairs = coupled < end ? coupled : end;
+        const int count = i + 1 < first ? 2 : 1;
+        for (int s = 0; s < count; s++) {
+            const lanes *row = P + (i + s) * blocks;
+            lanes *of = PA + s * blocks;
+            for (int j = 0; j < pairs; j++) of[j] = w->own[j] * row[j] + w->to_pair[j] * SWAPPED(row, j);
+            for (int j = pairs; j < end; j++) of[j] = w->own[j] * row[j];
         }
-        for (int j = 0; j < end; j++) {
-            H[i * blocks + j] = own * PA[i * blocks + j] + pair * PA[other * blocks + j];
-            if (ENTRIES == 1) H[i * blocks + j] += command * w->held[j];
+        for (int s = 0; s < count; s++) {
+            const lanes *of = PA + s * blocks, *other = PA + (count - 1 - s) * blocks;
+            const number own = AT(w->own, i + s), pair = AT(w->to_pair, i + s);
+            lanes *row = H + (i + s) * blocks;
+            if (ENTRIES > 1 && i >= coupled) {
+                for (int j = 0; j < LOWER(i + s, blocks); j++) row[j] = own * of[j];
+                continue;
+            }
+            for (int j = 0; j < LOWER(i + s, blocks); j++) {
+                row[j] = own * of[j] + pair * other[j];
+                for (int c = 0; ENTRIES == 1 && c < motors; c++)
+                    row[j] += AT(H + (first + c) * blocks, i + s) * w->held[c * blocks + j];
+            }
         }
     }
 }
@@ -530,6 +572,20 @@ ALWAYS_INLINE void add_square(const int blocks, const number weight, const lanes
     for (int i = from; i < to; i++) {
         const number by = weight * AT(c, i);
         for (int j = ENTRIES > 1 ? from : 0; j < LOWER(i, blocks); j++) H[i * blocks + j] += by * c[j];
+    }
+}
+
+/* Add what a squared row c x + d u of a weight says about the movements: to `hu`, by states and movements, and to the
+ * lower triangle of `r`, by movements alone. */
+ALWAYS_INLINE void add_controls(const int motors, const int blocks, const number weight, const number *d,
+                                const int *moves, const int row, const lanes *restrict c, const int from,
+                                const int to, lanes *restrict hu, number *restrict r)
+{
+    for (int i = 0; i < motors; i++) {
+        const number by = weight * d[row * motors + i];
+        if (!moves[row * motors + i]) continue;
+        add_part(blocks, by, c, from, to, hu + i * blocks);
+        for (int j = 0; j <= i; j++) r[i * motors + j] += by * d[row * motors + j];
     }
 }
 
@@ -564,7 +620,7 @@ ALWAYS_INLINE number add_nodes(const int t, const int blocks, const tr_work *w, 
         number Rb = {0};
         for (int j = 0; j < t; j++) Rb += R[i * t + j] * w->b[j];
         bRb += w->b[i] * Rb;
-        flow_back(blocks, w, Q + i * blocks, U + i * blocks);
+        flow_back(w->q->states - 1, 1, blocks, w, Q + i * blocks, U + i * blocks);
         add(blocks, Rb, by_x, U + i * blocks);
         for (int j = 0; j < t; j++) {
             RM[i * t + j] = nothing;
@@ -619,39 +675,40 @@ ALWAYS_INLINE void backward_begin(const int blocks, const tr_work *w, const int 
 
 /* From k + 1 to k with the gains: steps without feedback into `offset`; without them, as not `newton`: the gradient
  * into `offset`, and the heat's prices. */
-ALWAYS_INLINE void backward_stage(const int n, const int blocks, tr_work *w, const int t, const int k, const int own,
-                                  number *restrict offset, number *restrict offset_e, const int newton, tr_costate *c)
+ALWAYS_INLINE void backward_stage(const int n, const int motors, const int blocks, tr_work *w, const int t, const int k,
+                                  const int own, number *restrict offset, number *restrict offset_e, const int newton,
+                                  tr_costate *c)
 {
     const tr_problem *q = w->q;
-    const int m = q->rows, last = n - 1;
+    const int m = q->rows, first = n - motors;
     const lanes nothing = {0};
     lanes a[MOST_BLOCKS], drive[MOST_BLOCKS];
-    number by_size = {0}, th_before[MOST_NODES] = {0}, direct = {0};
+    number by_size = {0}, th_before[MOST_NODES] = {0}, by_movement[MOST_MOTORS] = {0};
     /* Terms that do not depend on later stages are computed first, off the critical path. */
     for (int j = 0; j < blocks; j++) drive[j] = nothing;
     if (own) {
-        direct = w->movement_weight * w->u[k];
+        for (int i = 0; i < motors; i++) by_movement[i] = w->movement_weight * w->u[k * motors + i];
         for (int o = 0; o < q->outputs; o++) {
             if (!w->tracked[k * q->outputs + o]) continue;
             const number v = w->weight[k * q->outputs + o] * w->error[k * q->outputs + o];
-            direct += w->E[o] * v;
+            for (int i = 0; i < motors; i++) by_movement[i] += w->E[o * motors + i] * v;
             add(blocks, v, w->C + o * blocks, drive);
         }
         if (t) th_before[0] = by_row(w, newton, k * m);
         for (int j = t ? 1 : 0; j < m; j++) {
             const number y = by_row(w, newton, k * m + j);
-            direct += w->d[j] * y;
+            for (int i = 0; i < motors; i++) by_movement[i] += w->d[j * motors + i] * y;
             by_size += w->d_size[j] * y;
-            add(blocks, y, w->G + j * blocks, drive);
+            add_part(blocks, y, w->G + j * blocks, w->from[j], w->to[j], drive);
         }
     }
-    flow_back(blocks, w, c->p, a);
+    flow_back(first, motors, blocks, w, c->p, a);
     if (t) {
         const number *heat = w->heat + 4 * k;
         number beta = {0};
         for (int i = 0; i < t; i++) beta += w->b[i] * c->th[i];
         if (q->current >= 0) AT(c->by_x, q->current) = heat[0];
-        AT(c->by_x, last) = heat[1];
+        AT(c->by_x, first) = heat[1];
         add(blocks, beta, c->by_x, a);
         by_size += 2.0 * w->ripple * heat[2] * beta;
         for (int j = 0; j < t; j++)
@@ -659,35 +716,42 @@ ALWAYS_INLINE void backward_stage(const int n, const int blocks, tr_work *w, con
         th_before[0] += heat[3] * beta;
         if (!newton) w->by_heat[k] = beta;
     }
-    number by_movement = AT(a, last) + direct;
+    for (int i = 0; i < motors; i++) by_movement[i] += AT(a, first + i);
     for (int j = 0; j < blocks; j++) a[j] += drive[j];
+    const lanes *gains = w->K + k * motors * blocks;
     if (newton) {
-        const lanes *gain = w->K + k * blocks;
         if (t) {
             offset_e[k] = -by_size * w->pivot_e[k];
-            by_movement += w->Ke_u[k] * by_size;
+            by_movement[0] += w->Ke_u[k] * by_size;
             add(blocks, by_size, w->Ke + k * blocks, a);
             for (int j = 0; j < t; j++) th_before[j] += w->Keth[k * t + j] * by_size;
         }
-        offset[k] = -by_movement * w->pivot[k];
-        for (int j = 0; j < blocks; j++) c->p[j] = a[j] + by_movement * gain[j];
-        for (int j = 0; j < t; j++) c->th[j] = th_before[j] + w->Kth[k * t + j] * by_movement;
+        for (int i = motors - 1; i >= 0; i--) {
+            const number *pivot = w->pivot + (k * motors + i) * motors;
+            offset[k * motors + i] = -by_movement[i] * pivot[i];
+            for (int j = 0; j < i; j++) by_movement[j] += pivot[j] * by_movement[i];
+            add(blocks, by_movement[i], gains + i * blocks, a);
+        }
+        for (int j = 0; j < t; j++) c->th[j] = th_before[j] + w->Kth[k * t + j] * by_movement[0];
     } else {
-        offset[k] = by_movement;
+        for (int i = 0; i < motors; i++) {
+            offset[k * motors + i] = by_movement[i];
+            if (k >= q->free_stages) add(blocks, by_movement[i], gains + i * blocks, a);
+        }
         if (t) offset_e[k] = by_size;
-        for (int j = 0; j < blocks; j++) c->p[j] = a[j];
-        if (k >= q->free_stages) add(blocks, by_movement, w->K + k * blocks, c->p);
         for (int j = 0; j < t; j++) c->th[j] = th_before[j];
     }
+    for (int j = 0; j < blocks; j++) c->p[j] = a[j];
 }
 
-ALWAYS_INLINE void backward_sized(const int n, const int blocks, tr_work *w, const int t, const number *end,
-                                  const int own, number *restrict offset, number *restrict offset_e, const int newton)
+ALWAYS_INLINE void backward_sized(const int n, const int motors, const int t, const int blocks, tr_work *w,
+                                  const number *end, const int own, number *restrict offset, number *restrict offset_e,
+                                  const int newton)
 {
     tr_costate costate;
     backward_begin(blocks, w, t, end, own, newton, &costate);
     for (int k = w->q->stages - 1; k >= 0; k--)
-        backward_stage(n, blocks, w, t, k, own, offset, offset_e, newton, &costate);
+        backward_stage(n, motors, blocks, w, t, k, own, offset, offset_e, newton, &costate);
     memcpy(w->p0, costate.th, (size_t)t * sizeof(number));
 }
 
@@ -695,14 +759,16 @@ ALWAYS_INLINE void backward_sized(const int n, const int blocks, tr_work *w, con
  * With `end`, the heat's price at N, the Newton step's costate goes along, as in `backward`: its chain of short sums
  * then waits while the products of the factorisation keep the processor busy. Returns 0, or the code of what has ended
  * it. */
-ALWAYS_INLINE int factor_sized(const int n, const int t, const int blocks, tr_work *w, const int curved,
-                               const number *end)
+ALWAYS_INLINE int factor_sized(const int n, const int motors, const int t, const int blocks, tr_work *w,
+                               const int curved, const number *end)
 {
     const tr_problem *q = w->q;
-    const int N = q->stages, m = q->rows, last = n - 1, a = q->current, ld = blocks * PER;
+    const int N = q->stages, m = q->rows, first = n - motors, a = q->current, ld = blocks * PER;
     const int of_current = t && a >= 0;
-    lanes P[PER * MOST_BLOCKS * MOST_BLOCKS], PA[PER * MOST_BLOCKS * MOST_BLOCKS], H[PER * MOST_BLOCKS * MOST_BLOCKS];
-    lanes hu[MOST_BLOCKS], he[MOST_BLOCKS], by_x[MOST_BLOCKS], bend_a[MOST_BLOCKS], bend_c[MOST_BLOCKS];
+    lanes P[PER * MOST_BLOCKS * MOST_BLOCKS], PA[(ENTRIES > 1 ? 2 : PER * MOST_BLOCKS) * MOST_BLOCKS];
+    lanes H[PER * MOST_BLOCKS * MOST_BLOCKS], squares[PER * MOST_BLOCKS * MOST_BLOCKS];
+    int squared = -1; /* the stage whose outputs' part of H `squares` is: of several motors, whose outputs are many */
+    lanes hu[MOST_MOTORS * MOST_BLOCKS], he[MOST_BLOCKS], by_x[MOST_BLOCKS], bend_a[MOST_BLOCKS], bend_c[MOST_BLOCKS];
     lanes Q[MOST_NODES * MOST_BLOCKS], HQ[MOST_NODES * MOST_BLOCKS];
     number R[MOST_NODES * MOST_NODES], HR[MOST_NODES * MOST_NODES], hu_th[MOST_NODES], he_th[MOST_NODES];
     const number e1 = w->decay, e2 = 1.0 - e1, *s = w->square;
@@ -721,58 +787,60 @@ ALWAYS_INLINE int factor_sized(const int n, const int t, const int blocks, tr_wo
         add_square(blocks, AT(w->sigma, N * m + j), w->G + j * blocks, w->from[j], w->to[j], P);
     }
     for (int i = 1; ENTRIES > 1 && i < n; i += 2) P[(i - 1) * blocks + i] = P[i * blocks + i - 1];
-    if (t) R[0] = AT(w->sigma, N * m), AT(bend_c, last) = 2.0 * s[2] * e2 * e2;
+    if (t) R[0] = AT(w->sigma, N * m), AT(bend_c, first) = 2.0 * s[2] * e2 * e2;
     if (of_current) {
         AT(bend_a, a) = 2.0 * (s[0] + s[1] * e1 + s[2] * e1 * e1);
-        AT(bend_a, last) = AT(bend_c, a) = (s[1] + 2.0 * s[2] * e1) * e2;
+        AT(bend_a, first) = AT(bend_c, a) = (s[1] + 2.0 * s[2] * e1) * e2;
     }
     for (int k = N - 1; k >= 0; k--) {
         if (k % STRIDE == 0 && tr_interrupted(w->watch)) return TR_INTERRUPTED;
         const number *heat = w->heat + 4 * k, *sigma = &AT(w->sigma, k * m);
-        number r = w->movement_weight, hee = {0}, heu = {0};
-        lanes *gain = w->K + k * blocks;
-        congruence(n, blocks, w, P, PA, H);
+        number r[MOST_MOTORS * MOST_MOTORS], hee = {0}, heu = {0};
+        lanes *gains = w->K + k * motors * blocks;
+        congruence(n, motors, blocks, w, P, PA, H);
         if (t) {
             /* e moves the nodes only: column 2 ripple resistance b. */
             const number by = 2.0 * w->ripple * heat[2];
             if (of_current) AT(by_x, a) = heat[0];
-            AT(by_x, last) = heat[1];
+            AT(by_x, first) = heat[1];
             hee = by * by * add_nodes(t, blocks, w, heat, by_x, Q, R, H, HQ, HR, he, he_th);
             for (int j = 0; j < blocks; j++) he[j] *= by;
             for (int j = 0; j < t; j++) he_th[j] *= by;
-            heu = AT(he, last);
+            heu = AT(he, first);
             /* Curvature of the heat, weighed by what a kelvin at the next instant costs. */
             const number price = w->by_heat[k], bend = price * heat[2];
             if (of_current) add(blocks, bend, bend_a, H + a * blocks);
-            add(blocks, bend, bend_c, H + last * blocks);
+            add(blocks, bend, bend_c, H + first * blocks);
             if (ENTRIES == 1 && curved && EACH(heat[2], 0) > 0.0) {
                 add(blocks, price * w->copper / heat[2], by_x, HQ);
                 he_th[0] += price * w->copper * 2.0 * w->ripple;
             }
             HR[0] += sigma[0];
-            for (int j = 0; j < t; j++) hu_th[j] = AT(HQ + j * blocks, last);
+            for (int j = 0; j < t; j++) hu_th[j] = AT(HQ + j * blocks, first);
         }
-        for (int j = 0; j < blocks; j++) hu[j] = H[last * blocks + j];
-        r += AT(hu, last);
+        for (int j = 0; j < motors * blocks; j++) hu[j] = H[first * blocks + j];
+        for (int c = 0; c < motors; c++)
+            for (int i = 0; i <= c; i++) r[c * motors + i] = AT(hu + c * blocks, first + i);
+        for (int c = 0; c < motors; c++) r[c * motors + c] += w->movement_weight;
+        const number *weights = w->weight + k * q->outputs;
+        const size_t in_one = (size_t)q->outputs * sizeof(number);
+        if (motors > 1 && (squared < 0 || memcmp(weights, w->weight + squared * q->outputs, in_one))) {
+            memset(squares, 0, (size_t)(ld * blocks) * sizeof(lanes));
+            for (int o = 0; o < q->outputs; o++) add_square(blocks, weights[o], w->C + o * blocks, 0, n, squares);
+            squared = k;
+        }
         for (int o = 0; o < q->outputs; o++) {
             if (!w->tracked[k * q->outputs + o]) continue;
-            const lanes *c = w->C + o * blocks;
-            const number weight = w->weight[k * q->outputs + o], direct = weight * w->E[o];
-            add_square(blocks, weight, c, 0, n, H);
-            if (w->direct[o]) {
-                add(blocks, direct, c, hu);
-                r += direct * w->E[o];
-            }
+            const number weight = weights[o];
+            if (motors == 1) add_square(blocks, weight, w->C + o * blocks, 0, n, H);
+            add_controls(motors, blocks, weight, w->E, w->direct, o, w->C + o * blocks, 0, n, hu, r);
         }
         for (int j = t ? 1 : 0; j < m; j++) {
-            const number weight = sigma[j], d = weight * w->d[j], size = weight * w->d_size[j];
+            const number size = sigma[j] * w->d_size[j];
             const lanes *c = w->G + j * blocks;
-            add_square(blocks, weight, c, w->from[j], w->to[j], H);
-            if (w->moves[j]) {
-                add(blocks, d, c, hu);
-                r += d * w->d[j];
-                heu += size * w->d[j];
-            }
+            add_square(blocks, sigma[j], c, w->from[j], w->to[j], H);
+            add_controls(motors, blocks, sigma[j], w->d, w->moves, j, c, w->from[j], w->to[j], hu, r);
+            if (t && w->moves[j]) heu += size * w->d[j];
             if (t && w->sizes[j]) {
                 add(blocks, size, c, he);
                 hee += size * w->d_size[j];
@@ -794,24 +862,48 @@ ALWAYS_INLINE int factor_sized(const int n, const int t, const int blocks, tr_wo
                 add(blocks, gain_e_th[j], he, HQ + j * blocks);
                 for (int i = 0; i < t; i++) HR[i * t + j] += he_th[i] * gain_e_th[j];
             }
-            r += heu * Ke_u;
+            r[0] += heu * Ke_u;
         }
         if (k >= q->free_stages) {
+            for (int c = 0; c < motors; c++)
+                for (int i = c + 1; i < motors; i++) r[c * motors + i] = r[i * motors + c];
             for (int i = 0; i < ld; i++) {
-                const number f = AT(gain, i), g = AT(hu, i) + f * r;
-                for (int j = 0; j < LOWER(i, blocks); j++) P[i * blocks + j] = H[i * blocks + j] + (f * hu[j] + g * gain[j]);
+                number f[MOST_MOTORS], g[MOST_MOTORS];
+                for (int c = 0; c < motors; c++) f[c] = AT(gains + c * blocks, i);
+                for (int c = 0; c < motors; c++) {
+                    g[c] = AT(hu + c * blocks, i);
+                    for (int l = 0; l < motors; l++) g[c] += f[l] * r[c * motors + l];
+                }
+                for (int j = 0; j < LOWER(i, blocks); j++) {
+                    lanes sum = H[i * blocks + j];
+                    if (motors > 1) sum += squares[i * blocks + j];
+                    for (int c = 0; c < motors; c++) sum += f[c] * hu[c * blocks + j] + g[c] * gains[c * blocks + j];
+                    P[i * blocks + j] = sum;
+                }
             }
-            for (int j = 0; j < t; j++) add(blocks, hu_th[j], gain, HQ + j * blocks);
+            for (int j = 0; j < t; j++) add(blocks, hu_th[j], gains, HQ + j * blocks);
         } else {
-            if (!keeps(w, &r)) return TR_BREAKDOWN;
-            const number inverse = 1.0 / r;
-            w->pivot[k] = inverse;
-            for (int j = 0; j < blocks; j++) gain[j] = -inverse * hu[j];
+            for (int c = motors - 1; c >= 0; c--) {
+                number *pivot = w->pivot + (k * motors + c) * motors;
+                if (!keeps(w, &r[c * motors + c])) return TR_BREAKDOWN;
+                pivot[c] = 1.0 / r[c * motors + c];
+                for (int j = 0; j < blocks; j++) gains[c * blocks + j] = -pivot[c] * hu[c * blocks + j];
+                for (int i = 0; i < c; i++) {
+                    pivot[i] = -pivot[c] * r[c * motors + i];
+                    add(blocks, pivot[i], hu + c * blocks, hu + i * blocks);
+                    for (int l = 0; l <= i; l++) r[i * motors + l] += pivot[i] * r[c * motors + l];
+                }
+            }
             for (int i = 0; i < ld; i++)
-                for (int j = 0; j < LOWER(i, blocks); j++) P[i * blocks + j] = H[i * blocks + j] + AT(hu, i) * gain[j];
+                for (int j = 0; j < LOWER(i, blocks); j++) {
+                    lanes sum = H[i * blocks + j];
+                    if (motors > 1) sum += squares[i * blocks + j];
+                    for (int c = 0; c < motors; c++) sum += AT(hu + c * blocks, i) * gains[c * blocks + j];
+                    P[i * blocks + j] = sum;
+                }
             for (int j = 0; j < t; j++) {
-                w->Kth[k * t + j] = -hu_th[j] * inverse;
-                add(blocks, hu_th[j], gain, HQ + j * blocks);
+                w->Kth[k * t + j] = -hu_th[j] * w->pivot[k];
+                add(blocks, hu_th[j], gains, HQ + j * blocks);
             }
             for (int i = 0; i < t; i++)
                 for (int j = 0; j < t; j++) HR[i * t + j] += hu_th[i] * w->Kth[k * t + j];
@@ -826,44 +918,58 @@ ALWAYS_INLINE int factor_sized(const int n, const int t, const int blocks, tr_wo
             for (int i = 0; i < blocks; i++) Q[j * blocks + i] = HQ[j * blocks + i];
             for (int i = 0; i <= j; i++) R[i * t + j] = R[j * t + i] = HR[i * t + j];
         }
-        if (end) backward_stage(n, blocks, w, t, k, 1, w->offset, w->offset_e, 1, &costate);
+        if (end) backward_stage(n, motors, blocks, w, t, k, 1, w->offset, w->offset_e, 1, &costate);
     }
     if (end) memcpy(w->p0, costate.th, (size_t)t * sizeof(number));
     memcpy(w->P0, R, (size_t)(t * t) * sizeof(number));
     return 0;
 }
 
+/* One row of d u. */
+ALWAYS_INLINE number by_controls(const int motors, const number *d, const int row, const number *u)
+{
+    number sum = d[row * motors] * u[0];
+    for (int i = 1; i < motors; i++) sum += d[row * motors + i] * u[i];
+    return sum;
+}
+
 /* Forward by the gains from x_0 = 0 and th_0 = `th`: what a step changes, to first order. */
-ALWAYS_INLINE void forward_sized(const int n, const int blocks, tr_work *w, const int t, const number *start,
-                                 const number *restrict offset, const number *restrict offset_e, const int full)
+ALWAYS_INLINE void forward_sized(const int n, const int motors, const int t, const int blocks, tr_work *w,
+                                 const number *start, const number *restrict offset, const number *restrict offset_e,
+                                 const int full)
 {
     const tr_problem *q = w->q;
-    const int N = q->stages, m = q->rows, last = n - 1;
+    const int N = q->stages, m = q->rows, first = n - motors;
     lanes x[MOST_BLOCKS], next[MOST_BLOCKS];
     number th[MOST_NODES] = {0};
     memset(x, 0, sizeof x);
     for (int i = 0; i < t; i++) th[i] = start[i];
     for (int k = 0; k < N; k++) {
-        number u = offset[k], e = {0};
-        for (int j = 0; j < t; j++) u += w->Kth[k * t + j] * th[j];
-        u += dot(blocks, w->K + k * blocks, x);
+        number u[MOST_MOTORS] = {0}, e = {0};
+        for (int c = 0; c < motors; c++) {
+            const int at = k * motors + c;
+            u[c] = offset[at];
+            for (int j = 0; j < t; j++) u[c] += w->Kth[k * t + j] * th[j];
+            u[c] += dot(blocks, w->K + at * blocks, x);
+            for (int j = 0; j < c; j++) u[c] += w->pivot[at * motors + j] * u[j];
+        }
         if (t) {
-            e = offset_e[k] + w->Ke_u[k] * u;
+            e = offset_e[k] + w->Ke_u[k] * u[0];
             for (int j = 0; j < t; j++) e += w->Keth[k * t + j] * th[j];
             e += dot(blocks, w->Ke + k * blocks, x);
         }
-        const number command = AT(x, last) + u;
+        const number command = AT(x, first) + u[0];
         number current = {0};
         if (q->current >= 0) current = AT(x, q->current);
         if (full) {
-            w->du[k] = u;
+            for (int c = 0; c < motors; c++) w->du[k * motors + c] = u[c];
             if (t) w->de[k] = e, w->d_current[k] = current, w->d_command[k] = command;
             for (int o = 0; o < q->outputs; o++)
                 if (w->tracked[k * q->outputs + o])
-                    w->d_error[k * q->outputs + o] = w->E[o] * u + dot(blocks, w->C + o * blocks, x);
+                    w->d_error[k * q->outputs + o] = by_controls(motors, w->E, o, u) + dot(blocks, w->C + o * blocks, x);
             if (t) AT(w->dV, k * m) = th[0];
             for (int i = t ? 1 : 0; i < m; i++) {
-                number v = w->d[i] * u + w->d_size[i] * e;
+                number v = by_controls(motors, w->d, i, u) + w->d_size[i] * e;
                 for (int j = w->from[i]; j < w->to[i]; j++) v += AT(w->G + i * blocks, j) * AT(x, j);
                 AT(w->dV, k * m + i) = v;
             }
@@ -878,7 +984,7 @@ ALWAYS_INLINE void forward_sized(const int n, const int blocks, tr_work *w, cons
             }
             for (int i = 0; i < t; i++) th[i] = th_next[i];
         }
-        flow(last, blocks, w, x, u, next);
+        flow(first, motors, blocks, w, x, u, next);
         for (int j = 0; j < blocks; j++) x[j] = next[j];
     }
     for (int j = 0; full && j < q->ends; j++) w->d_end_error[j] = dot(blocks, w->Z + j * blocks, x);
@@ -895,43 +1001,50 @@ ALWAYS_INLINE void forward_sized(const int n, const int blocks, tr_work *w, cons
  * sanitizers, may say which sizes it SOLVES: the others are then left to the code for any size.
  */
 #if !defined(SOLVES)
-#define SOLVES(n, t) 1
+#define SOLVES(n, motors, t) 1
 #endif
-#define OF_SIZE(n, t, call)         \
-    if (!SOLVES(n, t)) goto any;    \
-    call(n, t, BLOCKS(n))
+#define OF_SIZE(n, motors, t, call)     \
+    if (SOLVES(n, motors, t)) {         \
+        call(n, motors, t, BLOCKS(n));  \
+    }                                   \
+    break
 #if ENTRIES > 1
-#define BY_SIZE(call)                                              \
-    switch (w->q->states) {                                        \
-    case 6: OF_SIZE(6, 0, call);                                   \
-    case 8: OF_SIZE(8, 0, call);                                   \
-    case 10: OF_SIZE(10, 0, call);                                 \
-    default:                                                       \
-    any: call(w->q->states, 0, w->ld / PER);                       \
-    }
+#define KNOWN_SIZES(call)                       \
+    case 1006: OF_SIZE(6, 1, 0, call);          \
+    case 1008: OF_SIZE(8, 1, 0, call);          \
+    case 1010: OF_SIZE(10, 1, 0, call);         \
+    case 3030: OF_SIZE(30, 3, 0, call)
 #else
-#define BY_SIZE(call)                                              \
-    switch (w->q->nodes * 100 + w->q->states) {                    \
-    case 4: OF_SIZE(4, 0, call);                                   \
-    case 5: OF_SIZE(5, 0, call);                                   \
-    case 6: OF_SIZE(6, 0, call);                                   \
-    case 7: OF_SIZE(7, 0, call);                                   \
-    case 8: OF_SIZE(8, 0, call);                                   \
-    case 9: OF_SIZE(9, 0, call);                                   \
-    case 10: OF_SIZE(10, 0, call);                                 \
-    case 11: OF_SIZE(11, 0, call);                                 \
-    case 12: OF_SIZE(12, 0, call);                                 \
-    case 108: OF_SIZE(8, 1, call);                                 \
-    case 110: OF_SIZE(10, 1, call);                                \
-    case 208: OF_SIZE(8, 2, call);                                 \
-    case 210: OF_SIZE(10, 2, call);                                \
-    default:                                                       \
-    any: call(w->q->states, w->q->nodes, w->ld / PER);             \
-    }
+#define KNOWN_SIZES(call)                       \
+    case 1004: OF_SIZE(4, 1, 0, call);          \
+    case 1005: OF_SIZE(5, 1, 0, call);          \
+    case 1006: OF_SIZE(6, 1, 0, call);          \
+    case 1007: OF_SIZE(7, 1, 0, call);          \
+    case 1008: OF_SIZE(8, 1, 0, call);          \
+    case 1009: OF_SIZE(9, 1, 0, call);          \
+    case 1010: OF_SIZE(10, 1, 0, call);         \
+    case 1011: OF_SIZE(11, 1, 0, call);         \
+    case 1012: OF_SIZE(12, 1, 0, call);         \
+    case 1108: OF_SIZE(8, 1, 1, call);          \
+    case 1110: OF_SIZE(10, 1, 1, call);         \
+    case 1208: OF_SIZE(8, 1, 2, call);          \
+    case 1210: OF_SIZE(10, 1, 2, call);         \
+    case 3030: OF_SIZE(30, 3, 0, call)
 #endif
-#define FACTOR(n, t, blocks) return factor_sized(n, t, blocks, w, curved, end)
-#define BACKWARD(n, t, blocks) backward_sized(n, blocks, w, t, end, own, offset, offset_e, newton); return
-#define FORWARD(n, t, blocks) forward_sized(n, blocks, w, t, start, offset, offset_e, full); return
+#define BY_SIZE(call)                                                        \
+    switch (w->q->motors * 1000 + w->q->nodes * 100 + w->q->states) {        \
+    KNOWN_SIZES(call);                                                       \
+    }                                                                        \
+    if (w->q->motors == 1) {                                                 \
+        call(w->q->states, 1, NODES(w->q), w->ld / PER);                     \
+    } else if (w->q->motors == 3) {                                          \
+        call(w->q->states, 3, 0, w->ld / PER);                               \
+    }                                                                        \
+    call(w->q->states, w->q->motors, 0, w->ld / PER);
+#define FACTOR(n, motors, t, blocks) return factor_sized(n, motors, t, blocks, w, curved, end)
+#define BACKWARD(n, motors, t, blocks) \
+    backward_sized(n, motors, t, blocks, w, end, own, offset, offset_e, newton); return
+#define FORWARD(n, motors, t, blocks) forward_sized(n, motors, t, blocks, w, start, offset, offset_e, full); return
 
 static int factor(tr_work *w, int curved, const number *end)
 {
@@ -1059,7 +1172,7 @@ static number cost(const tr_work *w)
     const tr_problem *q = w->q;
     number twice = {0};
     for (int k = 0; k < q->stages; k++) {
-        twice += w->movement_weight * w->u[k] * w->u[k];
+        for (int c = k * q->motors; c < (k + 1) * q->motors; c++) twice += w->movement_weight * w->u[c] * w->u[c];
         for (int o = 0; o < q->outputs; o++) {
             const number e = w->error[k * q->outputs + o];
             twice += w->weight[k * q->outputs + o] * e * e;
@@ -1079,7 +1192,7 @@ static void advance(tr_work *w, const number step)
 {
     const tr_problem *q = w->q;
     const int N = q->stages;
-    move(N, step, w->du, w->u);
+    move(N * q->motors, step, w->du, w->u);
     if (NODES(q)) {
         move(N, step, w->de, w->e);
         move(N, step, w->d_current, w->current), move(N, step, w->d_command, w->command);
@@ -1100,9 +1213,9 @@ static number begin(tr_work *w)
     const int N = q->stages, rows = (N + 1) * q->rows;
     static const number nothing[MOST_NODES];
     int moves = NODES(q) > 0;
-    for (int k = q->free_stages; k < N; k++) {
-        w->offset[k] = w->rule_offset[k - q->free_stages];
-        for (int e = 0; e < ENTRIES; e++) moves = moves || EACH(w->offset[k], e) != 0.0;
+    for (int at = q->free_stages * q->motors, from = at; at < N * q->motors; at++) {
+        w->offset[at] = w->rule_offset[at - from];
+        for (int e = 0; e < ENTRIES; e++) moves = moves || EACH(w->offset[at], e) != 0.0;
     }
     if (NODES(q))
         for (int k = 0; k < N; k++) w->offset_e[k] = nothing[0] + 1.0;
@@ -1161,15 +1274,16 @@ static tr_state judge(tr_work *w, const number level, const number step)
     const int N = q->stages;
     const number nothing = {0};
     tr_state found = {nothing, nothing, nothing, cost(w)};
-    number end[MOST_NODES] = {0}, closure[MOST_NODES], command = {0};
+    number end[MOST_NODES] = {0}, closure[MOST_NODES], command[MOST_MOTORS] = {0};
     lanes sum = {0};
     move_slacks(w, level, step, &found);
     closure_price(w, w->eta, end);
     backward(w, end, 1, w->offset, w->offset_e, 0);
-    for (int k = 0; k < q->free_stages; k++) {
-        const number after = k + 1 < q->free_stages ? w->offset[k + 1] : nothing;
-        command += w->u[k];
-        AT(&sum, k % PER) += absolute(w->offset[k] - after) * (w->command_bound + absolute(command));
+    for (int at = 0, free = q->free_stages * q->motors; at < free; at++) {
+        const number after = at + q->motors < free ? w->offset[at + q->motors] : nothing;
+        number *held = command + at % q->motors;
+        *held += w->u[at];
+        AT(&sum, at % PER) += absolute(w->offset[at] - after) * (w->command_bound + absolute(*held));
     }
     for (int k = 0; NODES(q) && k < N; k++) AT(&sum, k % PER) += 2.0 * absolute(w->offset_e[k]);
     found.stationarity = total(&sum);
@@ -1252,8 +1366,8 @@ static void keep(tr_work *w, const tr_state *now, const int *chosen)
     const tr_problem *q = w->q;
     const size_t N = (size_t)q->stages, rows = (N + 1) * (size_t)q->rows;
     const number gap = now->complementarity + now->stationarity;
-    blend(N, chosen, w->u, w->kept_movement);
-    blend(N, chosen, w->offset, w->kept_gradient);
+    blend(N * (size_t)q->motors, chosen, w->u, w->kept_movement);
+    blend(N * (size_t)q->motors, chosen, w->offset, w->kept_gradient);
     if (NODES(q)) blend(N, chosen, w->e, w->kept_size), blend((size_t)NODES(q), chosen, w->theta, w->kept_start);
     blend(rows, chosen, (const number *)w->side[0].l, (number *)w->kept_lower);
     blend(rows, chosen, (const number *)w->side[1].l, (number *)w->kept_upper);
@@ -1269,12 +1383,12 @@ static void deliver(const tr_work *w, tr_result *const *results)
     const size_t N = (size_t)q->stages, rows = (N + 1) * (size_t)q->rows;
     for (int e = 0; e < ENTRIES; e++) {
         tr_result *r = results[e];
-        double command = 0.0;
-        for (size_t k = 0; k < N; k++) {
-            r->command[k] = command += EACH(w->kept_movement[k], e);
-            r->gradient[k] = EACH(w->kept_gradient[k], e);
-            if (NODES(q)) r->size[k] = EACH(w->kept_size[k], e);
+        double command[MOST_MOTORS] = {0};
+        for (size_t at = 0; at < N * (size_t)q->motors; at++) {
+            r->command[at] = command[at % (size_t)q->motors] += EACH(w->kept_movement[at], e);
+            r->gradient[at] = EACH(w->kept_gradient[at], e);
         }
+        for (size_t k = 0; NODES(q) && k < N; k++) r->size[k] = EACH(w->kept_size[k], e);
         for (size_t i = 0; i < rows; i++)
             r->lower[i] = EACH(AT(w->kept_lower, i), e), r->upper[i] = EACH(AT(w->kept_upper, i), e);
         for (int i = 0; i < NODES(q); i++) r->start[i] = EACH(w->kept_start[i], e);
@@ -1442,11 +1556,12 @@ static void prove(const tr_problem *const *all, double *space, tr_proof *const *
 {
     tr_work work, *w = &work;
     const tr_problem *q = all[0];
-    const int N = q->stages, m = q->rows, ny = q->outputs, n = q->states, last = n - 1, blocks = BLOCKS(n);
-    const size_t stages = (size_t)N, bounds = stages * (size_t)m, free = (size_t)q->free_stages;
+    const int N = q->stages, m = q->rows, ny = q->outputs, n = q->states, motors = q->motors, first = n - motors;
+    const int blocks = BLOCKS(n);
+    const size_t stages = (size_t)N, bounds = stages * (size_t)m, ruled = (stages - (size_t)q->free_stages) * (size_t)motors;
     lanes x[MOST_BLOCKS], next[MOST_BLOCKS], p[MOST_BLOCKS], rule[MOST_BLOCKS];
-    number slack = {0}, residual = {0}, dual_residual = {0}, by_command = {0}, by_movement = {0}, later = {0};
-    number excess[MOST_ROWS], before = {0};
+    number slack = {0}, residual = {0}, dual_residual = {0}, by_command = {0}, by_movement = {0};
+    number excess[MOST_ROWS], before[MOST_MOTORS] = {0}, later[MOST_MOTORS] = {0};
     size_t taken;
     int priced = 0;
     while ((uintptr_t)space % (WIDTH * sizeof(double))) space++;
@@ -1456,7 +1571,7 @@ static void prove(const tr_problem *const *all, double *space, tr_proof *const *
     /* The certificate's arrays reuse the workspace that only a search needs. */
     taken = (size_t)((double *)w->V - space);
 #define OF_PROOF(field, count) of_each((const void *const *)proofs, offsetof(tr_proof, field), count, space, &taken)
-    const number *commands = OF_PROOF(command, stages), *by_rule = OF_PROOF(by_rule, stages - free);
+    const number *commands = OF_PROOF(command, stages * (size_t)motors), *by_rule = OF_PROOF(by_rule, ruled);
     const number *by_lower = OF_PROOF(by_lower, bounds), *by_upper = OF_PROOF(by_upper, bounds);
     const number *lower = OF_PROOF(lower, bounds), *upper = OF_PROOF(upper, bounds);
     for (int e = 0; e < ENTRIES; e++) priced = priced || proofs[e]->by_upper;
@@ -1465,25 +1580,28 @@ static void prove(const tr_problem *const *all, double *space, tr_proof *const *
     memset(p, 0, sizeof p);
     for (int i = 0; i < m; i++) excess[i] = by_command - INFINITY;
     for (int k = 0; k < N; k++) {
-        const number u = w->u[k] = commands[k] - before;
-        before = commands[k];
+        const number *command = commands + k * motors;
+        number *u = w->u + k * motors;
+        for (int c = 0; c < motors; c++) u[c] = command[c] - before[c], before[c] = command[c];
         for (int o = 0; o < ny; o++)
-            w->error[k * ny + o] = w->E[o] * u + dot(blocks, w->C + o * blocks, x) - w->reference[k * ny + o];
+            w->error[k * ny + o] =
+                by_controls(motors, w->E, o, u) + dot(blocks, w->C + o * blocks, x) - w->reference[k * ny + o];
         for (int i = 0; i < m; i++) {
             const int at = k * m + i;
-            number v = w->d[i] * u;
+            number v = by_controls(motors, w->d, i, u);
             for (int j = w->from[i]; j < w->to[i]; j++) v += AT(w->G + i * blocks, j) * AT(x, j);
             const number above = v - upper[at], below = lower[at] - v;
             excess[i] = largest_of(largest_of(excess[i], above), below);
             if (priced) slack += paired_with(by_upper[at], above) + paired_with(by_lower[at], below);
         }
-        if (k >= q->free_stages) {
-            memcpy(rule, w->rule_gain + ((size_t)k - free) * (size_t)n, (size_t)n * sizeof(number));
-            const number left = absolute(u - dot(blocks, rule, x) - w->rule_offset[(size_t)k - free]);
+        for (int c = 0; k >= q->free_stages && c < motors; c++) {
+            const int at = (k - q->free_stages) * motors + c;
+            memcpy(rule, w->rule_gain + at * n, (size_t)n * sizeof(number));
+            const number left = absolute(u[c] - dot(blocks, rule, x) - w->rule_offset[at]);
             residual = largest_of(residual, left);
-            slack += absolute(by_rule[(size_t)k - free]) * left;
+            slack += absolute(by_rule[at]) * left;
         }
-        flow(last, blocks, w, x, u, next);
+        flow(first, motors, blocks, w, x, u, next);
         memcpy(x, next, sizeof x);
     }
     for (int j = 0; j < q->ends; j++) {
@@ -1492,30 +1610,35 @@ static void prove(const tr_problem *const *all, double *space, tr_proof *const *
     }
     const number objective = cost(w);
     for (int k = N - 1; k >= 0; k--) {
-        number gradient = dot(blocks, w->push, p) + w->movement_weight * w->u[k];
-        flow_back(blocks, w, p, next);
+        number gradient[MOST_MOTORS];
+        for (int c = 0; c < motors; c++)
+            gradient[c] = dot(blocks, w->push + c * blocks, p) + w->movement_weight * w->u[k * motors + c];
+        flow_back(first, motors, blocks, w, p, next);
         for (int o = 0; o < ny; o++) {
             const number by_error = w->weight[k * ny + o] * w->error[k * ny + o];
-            gradient += w->E[o] * by_error;
+            for (int c = 0; c < motors; c++) gradient[c] += w->E[o * motors + c] * by_error;
             add(blocks, by_error, w->C + o * blocks, next);
         }
         for (int i = 0; priced && i < m; i++) {
             const number by_row = by_upper[k * m + i] - by_lower[k * m + i];
-            gradient += w->d[i] * by_row;
+            for (int c = 0; c < motors; c++) gradient[c] += w->d[i * motors + c] * by_row;
             add(blocks, by_row, w->G + i * blocks, next);
         }
-        if (k >= q->free_stages) {
-            memcpy(rule, w->rule_gain + ((size_t)k - free) * (size_t)n, (size_t)n * sizeof(number));
-            gradient += by_rule[(size_t)k - free];
-            add(blocks, -by_rule[(size_t)k - free], rule, next);
+        for (int c = 0; k >= q->free_stages && c < motors; c++) {
+            const int at = (k - q->free_stages) * motors + c;
+            memcpy(rule, w->rule_gain + at * n, (size_t)n * sizeof(number));
+            gradient[c] += by_rule[at];
+            add(blocks, -by_rule[at], rule, next);
         }
         memcpy(p, next, sizeof p);
         /* A command enters its own movement with + and the next one with -. */
-        const number size = absolute(gradient - later);
-        dual_residual = largest_of(dual_residual, size);
-        by_command += size * (w->command_bound + absolute(commands[k]));
-        by_movement += gradient * gradient;
-        later = gradient;
+        for (int c = 0; c < motors; c++) {
+            const number size = absolute(gradient[c] - later[c]);
+            dual_residual = largest_of(dual_residual, size);
+            by_command += size * (w->command_bound + absolute(commands[k * motors + c]));
+            by_movement += gradient[c] * gradient[c];
+            later[c] = gradient[c];
+        }
     }
     by_movement /= 2.0 * w->movement_weight;
     for (int e = 0; e < ENTRIES; e++) {
