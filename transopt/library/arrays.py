@@ -32,7 +32,7 @@ class Array:
     is_text : whether it holds text; otherwise it holds double-precision numbers.
     may_be_nan : whether NaN may stand for an unknown number; all other numbers are finite.
     needs : condition for the array to be in the file: a key of the scene's `limits`, `spread`, `worst`
-        (the objective over the spread), `nonlinear`, `one motor` or `several motors`, named `targets`,
+        (the objective over the spread), `nonlinear`, `one motor`, `several directions`, an `arm`, named `targets`,
         `intensity` as the objective, or a `refinement` or `instants_within` in `meta`
         (`transopt.library.meta.stated`); empty for an array that is always in the file. An array that is not in the
         file is zero or empty, or has no devices.

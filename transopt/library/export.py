@@ -191,15 +191,15 @@ def _made(library: Library, iv: int, ig: int, stage: StageModel, command: FloatA
 
 def header_file(library: Library) -> bytes:
     """C99/C++ header, see `transopt.library.c_header`."""
+    if library.scene().shares:
+        # Only a library of several motors needs this import.
+        from transopt.library.motors_header import motors_header
+
+        return motors_header(library).encode("ascii")
     if library.axes.targets or library.driven_by is not CURRENT_INPUT:
         raise InputError(
             "the C header blends currents between speeds and grips, and this library has "
             f"{library.axes.said} and commands in {library.driven_by.unit}: add --drive, which writes one array for "
             "each entry"
         )
-    if library.axes.places:
-        # Only a library of an arm needs this import.
-        from transopt.library.arm_header import arm_header
-
-        return arm_header(library).encode("ascii")
     return c_header(library).encode("ascii")

@@ -215,10 +215,11 @@ def _checked(path: Path, arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) 
 
 
 def _several(scene: "Scene") -> dict[str, int]:
-    """Letter -> size of the dimensions that an arm has several of: inputs, tracked accelerations, devices."""
-    if not scene.axes.places:
-        return {"i": 1, "o": 1, "q": 0}
-    return {**dict.fromkeys("imop", len(scene.arm().motor_shares)), **dict.fromkeys("gq", len(scene.axes.grips_N))}
+    """Letter -> size of inputs, tracked accelerations and devices; motors and directions only of several."""
+    motors, directions = len(scene.shares), scene.directions
+    found = {"i": max(motors, 1), "o": directions, "q": len(scene.axes.places)}
+    found |= {letter: size for letter, size in (("m", motors), ("p", directions)) if size > 1}
+    return found | ({"g": len(scene.axes.grips_N)} if scene.axes.places else {})
 
 
 def _left_out_of(path: Path, cool: Any) -> Any:

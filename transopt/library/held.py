@@ -23,8 +23,8 @@ class Held:
     grips_N: FloatArray = kept("g", "N",
         "grip forces of the grid, rising; the only one is 0 for a free device; of an arm once for each place")
     normals: FloatArray = kept("q3", "", "normal of the surface of each device, in the frame of an arm's base",
-        needs="several motors")
-    postures_rad: FloatArray = kept("q3", "rad", "angles of the arm in each device", needs="several motors")
+        needs="arm")
+    postures_rad: FloatArray = kept("q3", "rad", "angles of the arm in each device", needs="arm")
     command: FloatArray = kept("vgmN", INPUT, "total command c_k, issued at -lead + k dt and held",
         "solution.command")
     transient_command: FloatArray = kept("vgmN", INPUT, "the command without the wall's predicted feedback",
@@ -87,10 +87,10 @@ class Held:
     energy_dB: FloatArray = kept("vg", "dB", "energy of y'' in the window over that of the target",
         lambda entry: entry.energy_dB if entry.objective == "intensity" else 0.0, needs="intensity")
     tangential_error: FloatArray = kept("vg", "", "error across the normal over the intention, over |r| along it",
-        "tangential_error", replayed=True, needs="several motors")
+        "tangential_error", replayed=True, needs="several directions")
     direction_rad: FloatArray = kept("vg", "rad",
         "angle by which that error turns the acceleration, by the sizes of both", "direction_rad", replayed=True,
-        needs="several motors")
+        needs="several directions")
     floor: FloatArray = kept("vg", "", "tap error of the optimum without limits", "floor")
     linear_command: FloatArray = kept("vgN", INPUT, "command designed for the plant linearised at rest",
         lambda entry: np.zeros(entry.problem.grid.stages) if entry.linear_command is None else entry.linear_command,

@@ -97,9 +97,10 @@ def stated(scene: "Scene", meta: dict[str, Any]) -> set[str]:
 
     The temperature is among them if it is a constraint of at least one entry.
     """
-    several = scene.model.kind == "arm"
+    several = bool(scene.shares)
     conditions = {
-        "several motors": several,
+        "arm": bool(scene.axes.places),
+        "several directions": scene.directions > 1,
         "one motor": not several,
         "targets": bool(scene.targets),
         "spread": scene.robust is not None,
@@ -113,7 +114,7 @@ def stated(scene: "Scene", meta: dict[str, Any]) -> set[str]:
         and scene.limits.current_A is not None
         and FollowingCurrentLimit.suits(scene.circuit()),
     }
-    # An arm stores multipliers for each motor (`further_arrays`) in place of these.
+    # Several motors have multipliers for each (`further_arrays`) in place of these.
     limits = {key for key, value in scene.limits.asked().items() if value is not None and not several}
     return {name for name, holds in conditions.items() if holds} | (limits - {TemperatureLimit.key})
 

@@ -106,11 +106,14 @@ def trade_of(acceleration_m_s2: FloatArray, target: Target, dt_s: float, ends_s:
 
 
 def entry_trade(library: Library, iv: int, ig: int, acceleration_m_s2: FloatArray) -> TradeFigures:
-    """The trade's figures of an entry's acceleration (N + M,) at the switching instants of its library."""
+    """The trade's figures of an entry's acceleration (N + M,) at the switching instants of its library.
+
+    Of several accelerations (p, N + M) they are those of the first.
+    """
     wanted = library.wanted_of(iv, ig)
     grid = library.time_grid()
     ends_s = wanted.ends_s - float(grid.switching_times_s[0]) if np.isfinite(wanted.ends_s) else None
-    return trade_of(acceleration_m_s2, wanted.target, grid.dt_s, ends_s)
+    return trade_of(np.atleast_2d(acceleration_m_s2)[0], wanted.target.normal, grid.dt_s, ends_s)
 
 
 def trade_figures(library: Library, iv: int, ig: int) -> TradeFigures:

@@ -26,7 +26,7 @@ from transopt.base.errors import InputError
 from transopt.base.section import Finite, NonNegative, Positive, Section
 from transopt.base.signals import FloatArray
 from transopt.plant.hand import HandSection
-from transopt.plant.kind import PlantKind
+from transopt.plant.kind import PlantKind, Share
 from transopt.plant.motor import Tip
 from transopt.plant.state_space import StateSpace
 
@@ -151,7 +151,7 @@ class Arm(PlantKind):
     stylus: Triple
     postures_deg: Annotated[list[Triple], Field(min_length=1, max_length=MAX_PLACES)]
     normals: Annotated[list[Triple], Field(min_length=1, max_length=MAX_PLACES)]
-    motor_shares: Annotated[list[Annotated[float, Field(gt=0, le=1)]], Field(min_length=3, max_length=3)] = Field(
+    motor_shares: Annotated[list[Share], Field(min_length=3, max_length=3)] = Field(
         default_factory=lambda: [1.0, 1.0, 1.0]
     )
 
@@ -176,6 +176,14 @@ class Arm(PlantKind):
                     f"{MAX_CONDITION:g}: bend the elbow, or move the tip away from the axis of the base"
                 )
         return self
+
+    @property
+    def shares(self) -> list[float]:
+        return self.motor_shares
+
+    @property
+    def directions(self) -> int:
+        return MOTORS
 
     @property
     def places(self) -> tuple[tuple[int, int], ...]:

@@ -5,12 +5,17 @@ keys are then keys of a scene, and limits may be stated on its named outputs (`l
 """
 
 from abc import abstractmethod
-from typing import ClassVar
+from typing import Annotated, ClassVar
+
+from pydantic import Field
 
 from transopt.base.section import Section
 from transopt.plant.circuit import Circuit
 from transopt.plant.motor import Tip, Winding
 from transopt.plant.state_space import CURRENT_INPUT, Input, StateSpace
+
+# Share of the limit on the input that one of several motors has.
+Share = Annotated[float, Field(gt=0, le=1)]
 
 
 class PlantKind(Section):
@@ -34,6 +39,16 @@ class PlantKind(Section):
     def driven_by(self) -> Input:
         """The plant's input, a current or a voltage."""
         return CURRENT_INPUT
+
+    @property
+    def shares(self) -> list[float]:
+        """Share of the limit on the input that each of several motors has; empty for a single motor."""
+        return []
+
+    @property
+    def directions(self) -> int:
+        """Number of tracked accelerations, the one that a target is for first."""
+        return 1
 
     def circuit(self) -> Circuit | None:
         """Circuit at the actuator's terminals; None if the kind does not state it."""

@@ -58,7 +58,7 @@ def _inverted(spectrum: NDArray[Any], response: NDArray[Any]) -> NDArray[Any]:
     """
     if response.ndim == 1:
         return np.asarray(spectrum / response)
-    return np.asarray(np.einsum("fmp,pf->mf", np.linalg.pinv(response), spectrum))
+    return np.asarray(np.einsum("fmp,pf->mf", np.linalg.pinv(response), np.atleast_2d(spectrum)))
 
 
 def clipped_optimum(

@@ -28,7 +28,7 @@ from transopt.scene.scene import Scene
 POOR = 0.5  # a larger tap error is poor: half of the tap is missing
 MOST_ROWS = 8  # rows of the matrix; `--table` shows those left out between them
 HELD, BAD, REFUSED = "*", "!", "x"  # marks after a number, and in place of one
-OF_A_MOTOR = re.compile(r" of motor \d+")  # equal limits of several motors are stated once
+OF_A_MOTOR = re.compile(r" of motor \d+(, which has [\d.]+ of it)?")  # equal limits of several motors are stated once
 LONGEST_TARGET = 28
 MOST_LIMITS = 3  # most limits named in one line
 
@@ -303,7 +303,7 @@ def next_commands(library: Path, scene: Scene) -> list[str]:
     heard = f"transopt-play tap {file} --simulate"
     if scene.targets:
         heard = f"transopt export {file} drive.wav --drive"
-    if scene.axes.places:
-        heard = f"transopt export {file} arm.h"
-    last = "verify" if scene.nonlinear or scene.axes.places else "page"  # `page` is for linear plants with one motor
+    if scene.shares:
+        heard = f"transopt export {file} motors.h"
+    last = "verify" if scene.nonlinear or scene.shares else "page"  # `page` is for linear plants with one motor
     return [f"transopt show {file} --table", heard, f"transopt {last} {file}"]

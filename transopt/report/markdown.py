@@ -370,7 +370,11 @@ def build_json(build: Build, *, full: bool = True) -> str:
             "remedies": [asdict(remedy) for remedy in e.remedies],
             "verdict": e.verdict,
             **asdict(e.figures),
-            **({} if e.spot is None else {"tangential_error": e.tangential_error, "direction_rad": e.direction_rad}),
+            **(
+                {}
+                if not e.problem.directions
+                else {"tangential_error": e.tangential_error, "direction_rad": e.direction_rad}
+            ),
             "heat_A2_s": e.heat_A2_s,
             "floor": e.floor,
             "baselines": asdict(e.baselines),

@@ -110,9 +110,9 @@ class Transients:
     axes : speeds and grips, or named targets.
     driven_by : the plant input, a current or a voltage.
     target_m_s2 : (nv, ng, N + M) target of y'' at the switching instants, in the window and after it.
-    acceleration_m_s2, plant_input : (nv, ng, N + M) at these instants; for an arm (nv, ng, p, N + M) and
-        (nv, ng, m, N + M).
-    limit : limit on the input. bounds : (m, 1) limit of each of several motors; None if all have the same.
+    acceleration_m_s2, plant_input : (nv, ng, N + M) at these instants; with several directions (nv, ng, p, N + M),
+        with several motors (nv, ng, m, N + M).
+    limit : limit on the input. bounds : (m, 1) limit of each of several motors; None for a single motor.
     input_multiplier : (nv, ng, N), or (nv, ng, m, N), the larger multiplier of the limit's two sides.
     nonlinear : whether the commands are stationary points on a nonlinear plant.
     """
@@ -128,6 +128,11 @@ class Transients:
     hand_over_samples: int
     nonlinear: bool = False
     bounds: FloatArray | None = None
+
+    @property
+    def has_several(self) -> bool:
+        """Whether there are several motors."""
+        return self.bounds is not None
 
     @property
     def limit_binds(self) -> NDArray[np.bool_]:
@@ -152,9 +157,9 @@ class Transients:
 def library_figure(library: Library) -> Figure:
     """Figure of every waveform of a library, see `transients_figure`."""
     grid, (nv, ng) = library.time_grid(), library.command.shape[:2]
-    tail = [(0, 0)] * (library.command.ndim - 1) + [(0, grid.after_stages)]
     acceleration, current = (
-        np.pad(each, tail, constant_values=np.nan) for each in (library.acceleration_m_s2, library.plant_input)
+        np.append(each, np.full((*each.shape[:-1], grid.after_stages), np.nan), axis=-1)
+        for each in (library.acceleration_m_s2, library.plant_input)
     )
     if grid.after_stages:  # what follows the window is not in the file, and is computed only for what is drawn
         for iv, ig in itertools.product(_some(nv, MOST_SPEEDS), _some(ng, MOST_GRIPS)):
@@ -176,7 +181,7 @@ def library_figure(library: Library) -> Figure:
             input_multiplier=_multiplier(library),
             hand_over_samples=library.hand_over_samples,
             nonlinear=library.nonlinear,
-            bounds=input_bounds(library.problem(0, 0)) if library.axes.places else None,
+            bounds=input_bounds(library.problem(0, 0)) if library.command.ndim > 3 else None,
         )
     )
 
@@ -318,7 +323,7 @@ def transients_figure(drawn: Transients) -> Figure:
         if whole
         else f"; {rows_of}, {len(shown_grips)} of {len(grips)} {'grips and places' if drawn.axes.places else 'grips'}"
     )
-    some += "\nthin: across the normal; second and third motor dashed and dotted" if drawn.axes.places else ""
+    some += "\nthin: across the normal; second and third motor dashed and dotted" if drawn.has_several else ""
     some += "\nnonlinear plant: certified stationary points" if drawn.nonlinear else ""
     label = f"time {'' if named else 'after contact '}[ms]\n{parted}hand-over from {hand_over_ms:.1f} ms{some}"
     figure.supxlabel(label, fontsize=LABEL_PT)
@@ -337,7 +342,7 @@ def transients_figure(drawn: Transients) -> Figure:
         figure,
         left_in=0.72,
         right_in=0.08,
-        below_in=0.66 + LEGEND_ROW_IN * (drawn.nonlinear or bool(drawn.axes.places)),
+        below_in=0.66 + LEGEND_ROW_IN * (drawn.nonlinear or drawn.has_several),
         above_in=above_in,
     )
     return figure

@@ -83,7 +83,7 @@ def files_of(build: Build, *, figures: bool = True, full: bool = False) -> Files
     name = build.scene.name
     files["transients.png"] = lambda path: save_figure(library.plot(), path, name)
     files["methods.png"] = lambda path: save_figure(drawing.method_figure(build), path, name)
-    if not build.scene.axes.places:  # each motor of an arm has a response in every direction
+    if not build.scene.shares:  # each of several motors has a response in every direction
         files["bode.png"] = lambda path: save_figure(drawing.bode_figure(library), path, name)
     if full and build.trade_offs:
         files["trade_off.png"] = lambda path: save_figure(drawing.trade_off_figure(build), path, name)

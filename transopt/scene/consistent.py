@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from transopt.base.errors import InputError
 from transopt.base.sizes import LONGEST_LEAD_S, MOST_AFTER, MOST_COMMANDS
 from transopt.base.writing import rounded_down
-from transopt.plant.arm import MOTORS, Arm
+from transopt.plant.arm import Arm
 from transopt.plant.discretise import samples_after
 from transopt.plant.drive import Drive
 from transopt.plant.fourth_order import FourthOrder
@@ -65,9 +65,9 @@ def check(scene: "Scene") -> None:
         raise ValueError(f"model.kind = {scene.model.kind} needs tip.stiffness_N_m and tip.damping_N_s_m")
     if scene.motor is not None and scene.limits.transient_input > scene.motor.i_peak_A:
         raise ValueError(_above_peak(scene, scene.motor.i_peak_A))
-    if isinstance(scene.model, Arm):
-        _check_arm(scene, scene.model)
-    elif scene.weights.tangential != Weights().tangential:
+    if scene.shares:
+        _check_several(scene)
+    if scene.directions == 1 and scene.weights.tangential != Weights().tangential:
         raise ValueError(f"weights.tangential: model.kind = {scene.model.kind} has one direction: leave it out")
     _check_amplifier(scene)
     commands = scene.axes.entries * scene.stages
@@ -93,7 +93,7 @@ def _above_peak(scene: "Scene", peak_A: float) -> str:
     return f"limits.beta = {factor:g}: {made}, {asked} {most:g} or less"
 
 
-def _check_arm(scene: "Scene", arm: Arm) -> None:
+def _check_several(scene: "Scene") -> None:
     """Check a scene with several motors.
 
     Raises
@@ -103,7 +103,7 @@ def _check_arm(scene: "Scene", arm: Arm) -> None:
     asked, kinds = scene.limits.asked(), kinds_of(scene.driven_by)
     unfit = [f"limits.{kind.key}" for kind in kinds if not kind.of_each_motor and asked.get(kind.key) is not None]
     tables = (
-        ("targets", bool(scene.targets)),
+        ("targets", bool(scene.targets) and isinstance(scene.model, Arm)),
         ("limits.own", bool(scene.limits.own)),
         ("thermal", scene.thermal != Thermal()),
         ("robust", scene.robust is not None),
@@ -111,20 +111,20 @@ def _check_arm(scene: "Scene", arm: Arm) -> None:
         ("weights.objective", scene.weights.objective != "waveform"),
     )
     for key in (*unfit, *(key for key, there in tables if there)):
-        raise ValueError(f"{key}: model.kind = arm cannot have it yet: leave it out, or take a plant with one motor")
-    if scene.grid.grips_N[0] == 0:
+        raise ValueError(
+            f"{key}: model.kind = {scene.model.kind} cannot have it yet: leave it out, or take a plant with one motor"
+        )
+    if isinstance(scene.model, Arm) and scene.grid.grips_N[0] == 0:
         raise ValueError("grid.grips_N: model.kind = arm is held by a hand: give grips above 0")
     if scene.recordings.simulated is not None and scene.striker is None:
         raise ValueError(
-            "recordings.simulated: an arm does not strike: give recorded files, or a [striker] that moves along the "
-            "normal, as that of stylus_3d"
+            "recordings.simulated: several motors do not strike: give recorded files, or a [striker] that moves "
+            "along the normal, as that of stylus_3d"
         )
-    commands = scene.axes.entries * MOTORS * scene.stages
+    commands = scene.axes.entries * len(scene.shares) * scene.stages
     if commands > MOST_COMMANDS:
-        raise ValueError(
-            f"grid, model.postures_deg and model.normals: {commands} commands, at most {MOST_COMMANDS}: fewer nodes "
-            "or stages"
-        )
+        nodes = "grid, model.postures_deg and model.normals" if scene.axes.places else "grid and time.stages"
+        raise ValueError(f"{nodes}: {commands} commands, at most {MOST_COMMANDS}: fewer nodes or stages")
 
 
 def _check_what_is_wanted(scene: "Scene") -> None:
@@ -136,7 +136,7 @@ def _check_what_is_wanted(scene: "Scene") -> None:
     """
     if scene.recordings.axis == ALL and not isinstance(scene.model, Arm):
         raise ValueError(
-            f'recordings.axis: "{ALL}" is for several motors, model.kind = {scene.model.kind} has one direction: '
+            f'recordings.axis: "{ALL}" is for an arm, not for model.kind = {scene.model.kind}: '
             'leave it out, or take "main" or "dft321"'
         )
     names = [target.name for target in scene.targets]

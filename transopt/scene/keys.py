@@ -137,7 +137,7 @@ def _leaf(path: str, field: FieldInfo, parts: list[Any], stated: Any, descriptio
     numeric = float in parts or int in parts or bool(numbers)
     if not numeric and len(choices) < 2:
         return None
-    if any(get_origin(part) in (list, dict) for part in parts) and not grid:
+    if any(get_origin(part) in (list, dict) for part in parts) and not grid and not isinstance(stated, int | float):
         return None
     default = None if field.default is PydanticUndefined else field.default
     return Key(

@@ -179,9 +179,12 @@ def _checked(matrices: Mapping[str, FloatArray], stated: Mapping[str, Any]) -> d
     if A.shape != (n, n) or not 1 <= n <= MOST_STATES:
         raise InputError(f"A: of shape {A.shape}, must be square with 1 to {MOST_STATES} rows")
     found: dict[str, Any] = {"A": A.tolist(), "D": 0.0, "outputs": {}}
+    several = matrices["B"].shape[0] == n > 1 < matrices["B"].shape[1]  # drives, of which the scene checks the sizes
     for name, matrix in matrices.items():
         most = 1 if name == "D" else n
-        if name != "A" and (matrix.size != most or 1 not in matrix.shape):
+        if several and name in "BCD":
+            found[name] = matrix.tolist()
+        elif name != "A" and (matrix.size != most or 1 not in matrix.shape):
             raise InputError(
                 f"{name}: of shape {matrix.shape}, must have {most} number{'s' * (most > 1)}, one input and one "
                 f"output, for A with {n} states"
@@ -190,7 +193,7 @@ def _checked(matrices: Mapping[str, FloatArray], stated: Mapping[str, Any]) -> d
             raise InputError(f"{name}: holds a number that is not finite; correct it")
         if name.startswith(OUTPUT):
             found["outputs"][name.removeprefix(OUTPUT)] = matrix.ravel().tolist()
-        elif name != "A":
+        elif name != "A" and not several:
             found[name] = float(matrix.ravel()[0]) if name == "D" else matrix.ravel().tolist()
     if "input" in stated:
         word = str(np.asarray(stated["input"]).ravel()[0]) if np.size(stated["input"]) else ""

@@ -143,14 +143,18 @@ def implausible(content: Mapping[str, Any]) -> list[str]:
 
 def _wrong_matrices(model: Any) -> str:
     """Why a plant stated by matrices cannot be an actuator; empty if it can be, or if the matrices are invalid."""
-    if not isinstance(model, Mapping) or model.get("kind") != "state_space" or "A" not in model:
+    if not isinstance(model, Mapping) or model.get("kind") != "state_space" or not {*"ABC"} <= set(model):
         return ""
     try:
         A, B, C, D = (np.array(model.get(name, 0.0), dtype=float) for name in "ABCD")
-        plant = StateSpace(A, B[:, None], C[None], D.reshape(1, 1))
+        B, C = B.reshape(A.shape[0], -1), C.reshape(-1, A.shape[0])
+        sizes = C.shape[0], B.shape[1]
+        plant = StateSpace(A, B, C, D.reshape(sizes) if D.any() else np.zeros(sizes))
         found = [abs(pole) / (2 * math.pi) for pole in np.linalg.eigvals(A) if pole.imag > 0]
         with np.errstate(all="ignore"):
             response = plant.response(FREQUENCIES_HZ)
+            if response.ndim > 1:  # of several drives and accelerations, the largest together
+                response = np.linalg.norm(response, 2, axis=(1, 2))
     except (InputError, ValueError, IndexError, TypeError, np.linalg.LinAlgError):
         return ""  # invalid matrices are refused when the scene is validated
     if not np.all(np.isfinite(response)):

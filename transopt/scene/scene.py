@@ -114,6 +114,16 @@ class Scene(Section):
         """The plant's input, a current or a voltage."""
         return self.model.driven_by
 
+    @property
+    def shares(self) -> list[float]:
+        """Share of the transient limit that each of several motors has; empty for a single motor."""
+        return self.model.shares if isinstance(self.model, PlantKind) else []
+
+    @property
+    def directions(self) -> int:
+        """Number of tracked accelerations."""
+        return self.model.directions if isinstance(self.model, PlantKind) else 1
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         check(self)
@@ -275,22 +285,22 @@ class Scene(Section):
                 "design for a nonlinear one, for all else leave the table out"
             )
         posing = self._posing()
-        if not isinstance(self.model, Arm):
+        if not self.shares:
             return posing
-        asked = {**posing.asked, MOTOR_SHARES: self.model.motor_shares}
-        return replace(posing, asked=asked, tangential=self.weights.tangential)
+        return replace(posing, asked={**posing.asked, MOTOR_SHARES: self.shares}, tangential=self.weights.tangential)
 
     def check_one_motor(self, what: str) -> None:
         """Refuse what only a device with one motor can have.
 
         Raises
         ------
-        InputError : an arm.
+        InputError : several motors.
         """
-        if isinstance(self.model, Arm):
+        if self.shares:
+            also = ", as does `transopt study --study direction`" if isinstance(self.model, Arm) else ""
             raise InputError(
-                f"{what}: model.kind = arm has several motors, and this needs one; `transopt solve`, show, verify, "
-                "compare and export accept an arm, as does `transopt study --study direction`"
+                f"{what}: model.kind = {self.model.kind} has several motors, and this needs one; `transopt solve`, "
+                f"show, verify, compare and export accept it{also}"
             )
 
     def arm(self) -> Arm:
@@ -302,7 +312,7 @@ class Scene(Section):
         """
         if not isinstance(self.model, Arm):
             raise InputError(
-                f"{self.name}: model.kind = {self.model.kind} has one motor: take a scene of an arm, as stylus_3d"
+                f"{self.name}: model.kind = {self.model.kind} is no arm: take a scene of an arm, as stylus_3d"
             )
         return self.model
 

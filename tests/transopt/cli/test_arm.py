@@ -175,7 +175,7 @@ def test_a_striker_is_missing(run: Run, scene: Path) -> None:
     text = scene.read_text(encoding="utf-8")
     start, end = text.index("\n[striker]"), text.index("\n[model]")
     Path("unstruck.toml").write_text(text[:start] + text[end:], encoding="utf-8")
-    assert_refused(run("solve", "unstruck.toml", "--out", "x"), "recordings.simulated: an arm does not strike")
+    assert_refused(run("solve", "unstruck.toml", "--out", "x"), "recordings.simulated: several motors do not strike")
 
 
 def test_a_weight_of_directions_needs_several(run: Run) -> None:
@@ -195,5 +195,5 @@ def test_study_of_the_direction(run: Run, scene: Path) -> None:
 def test_study_of_the_direction_needs_an_arm(run: Run) -> None:
     assert_refused(
         run("study", "single_grip", "--study", "direction", "--out", "x"),
-        "single_grip: model.kind = drive has one motor: take a scene of an arm, as stylus_3d",
+        "single_grip: model.kind = drive is no arm: take a scene of an arm, as stylus_3d",
     )

@@ -111,6 +111,11 @@ def test_refuses_a_hand_that_is_not_passive() -> None:
         arm.model_copy(update={"hand": hand}).plant(2.0)
 
 
-def test_a_scene_of_matrices_takes_no_plant_with_several_motors() -> None:
-    with pytest.raises(InputError, match="plant: it has 3 inputs and 3 outputs, and a scene's state_space has one"):
-        Matrices.of(phantom().plant(2.0))
+def test_a_scene_of_matrices_states_a_plant_with_several_motors() -> None:
+    plant = phantom().plant(2.0)
+    stated = Matrices.of(plant)
+    again = stated.plant(0.0, None)
+    assert stated.shares == [1.0] * 3
+    assert stated.directions == 3
+    for name in "ABCD":
+        np.testing.assert_array_equal(getattr(again, name), getattr(plant, name))

@@ -100,7 +100,7 @@ def test_a_row_of_the_scene_stands_beside_those_of_the_file(tmp_path: Path) -> N
     ("changed", "more", "words"),
     [
         ({"A": np.eye(3, 4)}, "", r"A: of shape \(3, 4\), must be square"),
-        ({"B": np.ones((10, 2))}, "", r"B: of shape \(10, 2\), must have 10 numbers, one input and one output"),
+        ({"B": np.ones((9, 2))}, "", r"B: of shape \(9, 2\), must have 10 numbers, one input and one output"),
         ({"C": np.ones(9)}, "", r"C: of shape \(1, 9\), must have 10 numbers"),
         ({"D": np.ones(2)}, "", r"D: of shape \(1, 2\), must have 1 number, one input"),
         ({"B": np.full(10, np.nan)}, "", "B: holds a number that is not finite"),
