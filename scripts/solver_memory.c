@@ -27,12 +27,14 @@ static double *doubles(size_t count)
     return found;
 }
 
-static void tell(const char *what, const tr_result *r, int moves)
+/* Without limits rounding alone says how many steps refine the answer: they are not told. */
+static void tell(const char *what, const tr_problem *q, const tr_result *r)
 {
+    const int moves = q->stages * q->motors;
     const int code = r->code;
     double sum = 0.0;
     for (int k = 0; k < moves; k++) sum += r->command[k];
-    printf("%s %d %d %.17g %.17g\n", what, code, r->iterations, code < TR_ITERATION_LIMIT ? r->objective : 0.0, sum);
+    printf("%s %d %d %.17g %.17g\n", what, code, q->rows ? r->iterations : 0, code < TR_ITERATION_LIMIT ? r->objective : 0.0, sum);
 }
 
 /* What the answer and its multipliers prove: of each kind of number the first. */
@@ -91,13 +93,13 @@ static void run(FILE *file)
     double *workspace = doubles(tr_workspace(BESIDE, beside));
     tr_solve(BESIDE, beside, &options, workspace, r);
     /* Limits that are none are told once. */
-    for (int i = 0; i < (r[0].code == TR_NO_BOUNDS ? 1 : BESIDE); i++) tell("solve", r + i, (int)moves);
+    for (int i = 0; i < (r[0].code == TR_NO_BOUNDS ? 1 : BESIDE); i++) tell("solve", &q, r + i);
     free(workspace);
     if (!q.nodes && r->code <= TR_ACCURACY) tell_proof(&q, r);
     if (!q.rows && !q.nodes) {
         workspace = doubles(tr_workspace(1, &q));
         tr_linear(1, &q, &options, workspace, r);
-        tell("linear", r, (int)moves);
+        tell("linear", &q, r);
         free(workspace);
     }
     for (int i = 0; i < ARRAYS; i++) free(arrays[i]);

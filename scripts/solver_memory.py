@@ -136,7 +136,13 @@ def expected(stages: Stages) -> list[list[float]]:
     if not stages.sizes["rows"] and not stages.sizes["nodes"]:
         answers += extension.linear_passes([stages], 1e-9)
     told = [
-        [a.code, a.iterations, a.objective if a.code <= extension.ACCURACY else 0.0, a.command.sum()] for a in answers
+        [
+            a.code,
+            a.iterations if stages.sizes["rows"] else 0,
+            a.objective if a.code <= extension.ACCURACY else 0.0,
+            a.command.sum(),
+        ]
+        for a in answers
     ]
     return [*told[:BESIDE], *proofs, *told[BESIDE:]]
 

@@ -69,7 +69,7 @@ def test_file_holds_the_fields_of_design_and_no_pickles(saved: Path, library: Li
         absent = {
             name
             for name in ARRAYS
-            if ARRAYS[name].needs in ("nonlinear", "targets", "several motors")
+            if ARRAYS[name].needs in ("nonlinear", "targets", "several directions", "arm")
             or (
                 name.startswith(("mu_", "current_sign", "spread", "correction", "intensity", "energy_dB", "instants"))
                 and not name.startswith(("mu_current_lower", "mu_current_upper", "mu_command", "mu_end"))

@@ -83,7 +83,7 @@ def test_a_library_with_three_directions_is_proven_again(tmp_path: Path) -> None
 
 
 def test_it_is_refused_with_one_motor_and_without_three_axes(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r'recordings\.axis: "all" is for several motors'):
+    with pytest.raises(ValueError, match=r'recordings\.axis: "all" is for an arm'):
         scene_of(tmp_path, "all", "wood_on_foam")
     rows = "\n".join(f"{k * 1e-4},{k % 7},1" for k in range(900))
     (tmp_path / "tap.csv").write_text(f"time_s,ax_m_s2,ay_m_s2\n{rows}")
