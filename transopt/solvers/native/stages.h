@@ -82,8 +82,10 @@ static void eliminate(int count, const double *matrix, double *right)
 
 #if defined(__GNUC__)
 #define ALWAYS_INLINE static inline __attribute__((always_inline))
+#define NEVER_INLINE static __attribute__((noinline))
 #else
 #define ALWAYS_INLINE static inline
+#define NEVER_INLINE static
 #endif
 #define AT(rows, i) (((number *)(rows))[i])        /* one number of a row */
 #define EACH(what, e) (((double *)&(what))[e])     /* a number's double of entry e */
@@ -1028,37 +1030,47 @@ ALWAYS_INLINE void forward_sized(const int n, const int motors, const int t, con
     case 1108: OF_SIZE(8, 1, 1, call);          \
     case 1110: OF_SIZE(10, 1, 1, call);         \
     case 1208: OF_SIZE(8, 1, 2, call);          \
-    case 1210: OF_SIZE(10, 1, 2, call);         \
-    case 3030: OF_SIZE(30, 3, 0, call)
+    case 1210: OF_SIZE(10, 1, 2, call)
 #endif
-#define BY_SIZE(call)                                                        \
-    switch (w->q->motors * 1000 + w->q->nodes * 100 + w->q->states) {        \
-    KNOWN_SIZES(call);                                                       \
-    }                                                                        \
-    if (w->q->motors == 1) {                                                 \
-        call(w->q->states, 1, NODES(w->q), w->ld / PER);                     \
-    } else if (w->q->motors == 3) {                                          \
-        call(w->q->states, 3, 0, w->ld / PER);                               \
-    }                                                                        \
-    call(w->q->states, w->q->motors, 0, w->ld / PER);
+#define BY_SIZE(call)                                                 \
+    switch (w->q->motors * 1000 + w->q->nodes * 100 + w->q->states) { \
+    KNOWN_SIZES(call);                                                \
+    }
+/* Each for any number of states is a function of its own, whose registers the compiler assigns without regard to others. */
+#define OF_ANY_SIZE(type, name, parameters, call)                                                           \
+    NEVER_INLINE type name##_of_one parameters { call(w->q->states, 1, NODES(w->q), w->ld / PER); }         \
+    NEVER_INLINE type name##_of_three parameters { call(w->q->states, 3, 0, w->ld / PER); }                 \
+    NEVER_INLINE type name##_of_any parameters { call(w->q->states, w->q->motors, 0, w->ld / PER); }
+#define ANY_SIZE(name) (w->q->motors == 1 ? name##_of_one : w->q->motors == 3 ? name##_of_three : name##_of_any)
 #define FACTOR(n, motors, t, blocks) return factor_sized(n, motors, t, blocks, w, curved, end)
 #define BACKWARD(n, motors, t, blocks) \
     backward_sized(n, motors, t, blocks, w, end, own, offset, offset_e, newton); return
 #define FORWARD(n, motors, t, blocks) forward_sized(n, motors, t, blocks, w, start, offset, offset_e, full); return
 
+OF_ANY_SIZE(int, factor, (tr_work *w, int curved, const number *end), FACTOR)
+
 static int factor(tr_work *w, int curved, const number *end)
 {
     BY_SIZE(FACTOR)
+    return ANY_SIZE(factor)(w, curved, end);
 }
+
+OF_ANY_SIZE(void, backward,
+            (tr_work *w, const number *end, int own, number *offset, number *offset_e, int newton), BACKWARD)
 
 static void backward(tr_work *w, const number *end, int own, number *offset, number *offset_e, int newton)
 {
     BY_SIZE(BACKWARD)
+    ANY_SIZE(backward)(w, end, own, offset, offset_e, newton);
 }
+
+OF_ANY_SIZE(void, forward,
+            (tr_work *w, const number *start, const number *offset, const number *offset_e, int full), FORWARD)
 
 static void forward(tr_work *w, const number *start, const number *offset, const number *offset_e, int full)
 {
     BY_SIZE(FORWARD)
+    ANY_SIZE(forward)(w, start, offset, offset_e, full);
 }
 
 /* Temperatures and their derivatives along the horizon, from currents, commands, sizes and th_0. */
