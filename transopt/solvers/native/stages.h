@@ -1030,7 +1030,8 @@ ALWAYS_INLINE void forward_sized(const int n, const int motors, const int t, con
     case 1108: OF_SIZE(8, 1, 1, call);          \
     case 1110: OF_SIZE(10, 1, 1, call);         \
     case 1208: OF_SIZE(8, 1, 2, call);          \
-    case 1210: OF_SIZE(10, 1, 2, call)
+    case 1210: OF_SIZE(10, 1, 2, call);         \
+    case 1214: OF_SIZE(14, 1, 2, call)
 #endif
 #define BY_SIZE(call)                                                 \
     switch (w->q->motors * 1000 + w->q->nodes * 100 + w->q->states) { \
