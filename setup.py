@@ -23,7 +23,7 @@ DRIVEN = [(FIRMWARE / "replay" / name).as_posix() for name in ("td_probe.c", "td
 SOLVER_CALLS = ["tr_interface", "tr_workspace", "tr_solve", "tr_linear", "tr_prove"]
 RECURSION_CALLS = [
     *("tr_most_states", "tr_most_width", "tr_run", "tr_forwards", "tr_backwards"),
-    *("tr_courses", "tr_bilinear", "tr_spline", "tr_spline_even", "tr_struck"),
+    *("tr_courses", "tr_bilinear", "tr_heated", "tr_spline", "tr_spline_even", "tr_struck"),
 ]
 CORE_CALLS = [
     *("td_probe_device_size", "td_probe_decoder_size", "td_probe_start", "td_probe_step", "td_probe_decode"),

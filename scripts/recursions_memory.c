@@ -118,6 +118,22 @@ int main(void)
             free(M), free(b), free(gain), free(h), free(x);
             cases++;
         }
+    for (size_t c = 0; c < sizeof counts / sizeof *counts; c++) {
+        /* Steady heat over many steps warms as over one step of their length, from any temperature. */
+        static const double heat[] = {0.03, 2.0, 0.4, -0.7, 6.0, 9.0};
+        const size_t K = counts[c];
+        double *steps = doubles(K), *q = doubles(2 * K), *winding = doubles(2 * (K + 1)), *housing = doubles(2 * (K + 1));
+        double whole = 0.0, first[2] = {winding[K + 1], NAN}, second[2] = {housing[K + 1], NAN};
+        for (size_t k = 0; k < K; k++) whole += steps[k] = fabs(steps[k]), q[k] = NAN, q[K + k] = 3.0;
+        const double steady = 3.0;
+        tr_heated(2, K, heat, q, steps, winding, housing);
+        tr_heated(1, 1, heat, &steady, &whole, first, second);
+        if (K > 1 && isfinite(winding[K])) return 1;
+        if (K && !(fabs(winding[2 * K + 1] - first[1]) <= 1e-12 * fabs(first[1]))) return 1;
+        if (K && !(fabs(housing[2 * K + 1] - second[1]) <= 1e-12 * fabs(second[1]))) return 1;
+        free(steps), free(q), free(winding), free(housing);
+        cases++;
+    }
     for (size_t knots = 4; knots < 8; knots++) {
         /* A parabola is its own spline; the last place is no number. */
         double places[] = {-0.5, 0.0, 0.25, 1.0, (double)knots - 1.0, (double)knots + 3.0, NAN};

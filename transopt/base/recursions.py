@@ -32,7 +32,7 @@ def _library() -> ct.CDLL | None:
     if not file.exists():
         return None
     library = ct.CDLL(str(file))
-    if not hasattr(library, "tr_spline_even"):
+    if not hasattr(library, "tr_heated"):
         return None  # built from another version: not usable
     if (library.tr_most_states(), library.tr_most_width()) != (MOST_STATES, MOST_WIDTH):
         return None
@@ -42,6 +42,7 @@ def _library() -> ct.CDLL | None:
         "tr_forwards": (size, count, array, array),
         "tr_backwards": (size, count, array, array),
         "tr_courses": (size, size, *(count,) * 4, *(array,) * 3, count),
+        "tr_heated": (size, size, *(array,) * 5),
         "tr_bilinear": (size, count, *(array,) * 3, ct.c_double, array, array),
         "tr_spline": (size, size, array, size, *(array,) * 3),
         "tr_spline_even": (size, array, size, ct.c_double, ct.c_double, array, array),
@@ -181,6 +182,31 @@ def bilinear(
     forcing = b * (gain * h)[:, None]
     forcing[0] += P[0] @ start
     found[1:] = forwards(P[1:], forcing)
+    return found
+
+
+def heated(heat: FloatArray, squares: FloatArray, steps: FloatArray, start: FloatArray) -> FloatArray | None:
+    """Temperatures of a coil's two nodes, dT/dt = m T + c, exact for M heatings; None without the extension.
+
+    A step of constant heating q has m = ((h_0 q - h_1, h_1), (h_2, h_3)) with real eigenvalues and c = (h_4 q, h_5).
+
+    Parameters
+    ----------
+    heat : (6,) the numbers h.
+    squares, steps : (M, K) heatings q and (K,) lengths of the steps.
+    start : (M, 2) temperatures at the start.
+
+    Returns
+    -------
+    (2, M, K + 1) temperatures of both nodes, the start first; infinite from an overflow on.
+    """
+    if COMPILED is None:
+        return None
+    M, K = squares.shape
+    found = np.empty((2, M, K + 1))
+    found[..., 0] = start.T
+    given = [np.ascontiguousarray(each, dtype=float) for each in (heat, squares, steps)]
+    COMPILED.tr_heated(M, K, *map(address, (*given, *found)))
     return found
 
 

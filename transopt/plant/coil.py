@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from transopt.base.errors import InputError
-from transopt.base.recursions import forwards
+from transopt.base.recursions import forwards, heated
 from transopt.base.signals import FloatArray
 
 COPPER_PER_K = 0.0039  # temperature coefficient of resistance
@@ -42,10 +42,11 @@ def following_square_mean(
     (..., K) means.
     """
     x = np.maximum(decays, np.finfo(float).tiny)
+    left, of_mean, of_square = np.exp(-x), -np.expm1(-x) / x, -np.expm1(-2 * x) / (2 * x)
     away = before_A - command_A
-    mean = command_A - away * np.expm1(-x) / x
-    square = command_A**2 - 2 * command_A * away * np.expm1(-x) / x - away**2 * np.expm1(-2 * x) / (2 * x)
-    turns = before_A * (command_A + away * np.exp(-x)) < 0
+    mean = command_A + away * of_mean
+    square = command_A * (2 * mean - command_A) + away**2 * of_square
+    turns = before_A * (command_A + away * left) < 0
     size = np.abs(mean)
     # The current crosses zero where exp(-w t) = -c / (i_0 - c); before that it has the other sign.
     command, gap = np.broadcast_to(command_A, turns.shape)[turns], away[turns]
@@ -175,6 +176,9 @@ class CoilModel:
         M, K = effective_square_A2.shape
         start = np.array([self.start_winding_C, self.start_housing_C])
         start = np.broadcast_to(start if start_C is None else start_C, (M, 2))
+        compiled = heated(self._rates, effective_square_A2, steps_s, start)
+        if compiled is not None:
+            return compiled[0], compiled[1]
         with np.errstate(over="ignore", invalid="ignore"):  # an unstable wall lets the current grow without bound
             (p11, p12, p21, p22), (s1, s2) = self._steps(effective_square_A2, steps_s)
             # Recursion of the rise d above the start, d+ = (1 + p) d + (p T_0 + s), so that small rises keep digits.
@@ -189,6 +193,18 @@ class CoilModel:
         rises[~np.isfinite(rises)] = np.inf
         return rises[..., 0] + winding, rises[..., 1] + housing
 
+    @property
+    def _rates(self) -> FloatArray:
+        """(6,) numbers h of dT/dt = ((h_0 q - h_1, h_1), (h_2, h_3)) T + (h_4 q, h_5) with q = i_eff^2."""
+        C_w = self.tau_w_s / self.R_wh_K_W
+        C_h = self.tau_h_s / self.R_ha_K_W if self.nodes == 2 else np.inf
+        g_w, g_h, by_heat = 1 / self.R_wh_K_W, 1 / self.R_ha_K_W, self.R_ohm / C_w
+        at_zero = 1 - COPPER_PER_K * RESISTANCE_REFERENCE_C
+        to_housing = g_w / C_h, -(g_w + g_h) / C_h
+        return np.array(
+            [COPPER_PER_K * by_heat, g_w / C_w, *to_housing, at_zero * by_heat, g_h * self.ambient_C / C_h]
+        )
+
     def _steps(
         self, effective_square_A2: FloatArray, steps_s: FloatArray
     ) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
@@ -201,13 +217,8 @@ class CoilModel:
         -------
         The entries p11, p12, p21, p22 and s1, s2, (M, K) each.
         """
-        C_w = self.tau_w_s / self.R_wh_K_W
-        C_h = self.tau_h_s / self.R_ha_K_W if self.nodes == 2 else np.inf
-        g_w, g_h = 1 / self.R_wh_K_W, 1 / self.R_ha_K_W
-        power = self.R_ohm * effective_square_A2
-        m11, m12 = (COPPER_PER_K * power - g_w) / C_w, g_w / C_w
-        m21, m22 = g_w / C_h, -(g_w + g_h) / C_h
-        c1, c2 = power * (1 - COPPER_PER_K * RESISTANCE_REFERENCE_C) / C_w, g_h * self.ambient_C / C_h
+        by_heat, m12, m21, m22, pushed, c2 = self._rates.tolist()
+        m11, c1 = by_heat * effective_square_A2 - m12, pushed * effective_square_A2
         mean, half = (m11 + m22) / 2, (m11 - m22) / 2
         # The eigenvalues are real, as the thermal network is symmetric up to its capacities.
         distance = np.maximum(np.sqrt(half**2 + m12 * m21), np.finfo(float).tiny)

@@ -6,9 +6,18 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from transopt.base import recursions
 from transopt.base.errors import InputError
 from transopt.plant.coil import CoilModel, effective_square, following_square_mean
 from transopt.scene.scene import Scene
+
+
+@pytest.fixture(params=["compiled", "banded"])
+def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    if request.param == "banded":
+        monkeypatch.setattr(recursions, "COMPILED", None)
+    elif recursions.COMPILED is None:
+        pytest.skip("the extension is not built")
 
 
 @pytest.fixture
@@ -37,6 +46,7 @@ def test_continuous_current_is_the_steady_state_of_the_simulation(coil: CoilMode
     assert winding[0, -1] == pytest.approx(coil.limit_C, abs=0.05)
 
 
+@pytest.mark.usefixtures("way")
 def test_simulation_agrees_with_an_independent_integrator(coil: CoilModel) -> None:
     hot = replace(coil, start_winding_C=80.0, start_housing_C=60.0)
     currents = np.array([4.0, -3.0, 0.0, 2.0])
@@ -96,6 +106,27 @@ def test_a_step_without_length_heats_as_its_current() -> None:
     assert following_square_mean(np.array([3.0]), np.array([-1.0]), np.array([0.0]))[0] == pytest.approx(3.02**2)
 
 
+@pytest.mark.skipif(recursions.COMPILED is None, reason="the extension is not built")
+@pytest.mark.parametrize("nodes", [1, 2])
+@pytest.mark.parametrize(("tau_w_s", "tau_h_s"), [(7.5, 700.0), (1e-6, 1e-5), (1e3, 1e-4)])
+def test_temperatures_are_the_same_with_and_without_the_extension(
+    coil: CoilModel, nodes: int, tau_w_s: float, tau_h_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    varied = replace(coil, nodes=nodes, tau_w_s=tau_w_s, tau_h_s=tau_h_s)
+    random = np.random.default_rng(nodes)
+    heat, steps = random.uniform(0.0, 2.0, (3, 60)), 10.0 ** random.uniform(-7, 0, 60)
+    heat[1, 30], heat[2, 40] = np.nan, np.inf
+    compiled = np.stack(varied.simulate(heat, steps))
+    monkeypatch.setattr(recursions, "COMPILED", None)
+    banded = np.stack(varied.simulate(heat, steps))
+    np.testing.assert_array_equal(np.isinf(compiled), np.isinf(banded))
+    assert np.isfinite(compiled[:, 0]).all()
+    assert np.isinf(compiled[0, 1:, -1]).all()
+    known = np.isfinite(compiled)
+    np.testing.assert_allclose(compiled[known], banded[known], rtol=1e-9)
+
+
+@pytest.mark.usefixtures("way")
 def test_a_coil_that_runs_away_within_one_period_is_hot_for_ever() -> None:
     coil = CoilModel(2.18, 3.1, 14.0, 2e-5, 75.0, 100.0)
     winding, housing = coil.steady_course(np.full((1, 40), 1e4), np.full(40, 2e-4), 0.01, np.zeros(1))

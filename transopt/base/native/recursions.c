@@ -1,8 +1,9 @@
-/* Linear recursions over the stages of a transient, linear systems with inputs and outputs, a linear system that strikes
- * a contact, and a spline, whose slopes satisfy such a recursion. Recursions work in place: x holds the forcing of every
+/* Linear recursions over the stages of a transient, linear systems with inputs and outputs, the temperatures of a coil,
+ * a linear system that strikes a contact, and a spline, whose slopes satisfy such a recursion. Recursions work in place: x holds the forcing of every
  * stage at first and the states at the end. All arrays are row by row. C99 without dependencies, no global state, no
  * allocation.
  */
+#include <float.h>
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -204,6 +205,51 @@ void tr_bilinear(size_t count, int m, const double *M, const double *b, const do
             double sum = b[i] * pushed;
             for (size_t j = 0; j < n; j++) sum += M[i * n + j] * from[j];
             x[(k + 1) * n + i] = sum;
+        }
+    }
+}
+
+static const double inverse_factorial[] = {1,         1,          1. / 2,      1. / 6,       1. / 24,     1. / 120,
+                                           1. / 720,  1. / 5040,  1. / 40320,  1. / 362880,  1. / 3628800};
+
+/* (e^x - 1) / x; near zero by its series, which takes no division and neglects less than the rounding. */
+ALWAYS_INLINE double mean_growth(double x)
+{
+    if (!(fabs(x) < 0.0625)) return expm1(x) / x;
+    double sum = inverse_factorial[10];
+    for (int k = 9; k > 0; k--) sum = sum * x + inverse_factorial[k];
+    return sum;
+}
+
+/* Temperatures T of a coil's winding and housing, dT/dt = m T + c, exact for steps of constant heating q = i_eff^2:
+ * m = (heat[0] q - heat[1], heat[1]; heat[2], heat[3]) and c = (heat[4] q, heat[5]). The eigenvalues of m are real.
+ * A step is T+ = T + f (m T + c) with f the step times the mean growth of m, a function of a 2 x 2 matrix: with the
+ * eigenvalues a +- d it is the mean of its values at a + d and a - d, plus their difference over 2 d times (m - a).
+ * The rise above the start has a recursion of its own, so that small rises keep their digits.
+ * q (courses, count), steps (count); winding, housing (courses, count + 1) with the start in their first column. What
+ * is not finite becomes infinite. */
+void tr_heated(size_t courses, size_t count, const double *heat, const double *q, const double *steps, double *winding,
+               double *housing)
+{
+    for (; courses > 0; courses--, q += count, winding += count + 1, housing += count + 1) {
+        const double warm = winding[0], warm_h = housing[0], m12 = heat[1], m21 = heat[2], m22 = heat[3];
+        double rise = 0, rise_h = 0;
+        for (size_t k = 0; k < count; k++) {
+            const double m11 = heat[0] * q[k] - heat[1], c1 = heat[4] * q[k], c2 = heat[5], h = steps[k];
+            const double mean = (m11 + m22) / 2, half = (m11 - m22) / 2;
+            const double distance = fmax(sqrt(half * half + m12 * m21), DBL_MIN);
+            const double fast = h * mean_growth((mean - distance) * h), slow = h * mean_growth((mean + distance) * h);
+            const double level = (slow + fast) / 2, slope = (slow - fast) / (2 * distance);
+            const double f11 = level + slope * half, f12 = slope * m12, f21 = slope * m21, f22 = level - slope * half;
+            const double p11 = f11 * m11 + f12 * m21, p12 = f11 * m12 + f12 * m22;
+            const double p21 = f21 * m11 + f22 * m21, p22 = f21 * m12 + f22 * m22;
+            const double pushed = p11 * warm + p12 * warm_h + (f11 * c1 + f12 * c2);
+            const double pushed_h = p21 * warm + p22 * warm_h + (f21 * c1 + f22 * c2);
+            const double next = (1 + p11) * rise + p12 * rise_h + pushed;
+            rise_h = p21 * rise + (1 + p22) * rise_h + pushed_h;
+            rise = next;
+            winding[k + 1] = isfinite(rise) ? warm + rise : INFINITY;
+            housing[k + 1] = isfinite(rise_h) ? warm_h + rise_h : INFINITY;
         }
     }
 }
