@@ -1,5 +1,7 @@
 """Exponential and balancing of small dense matrices: loading scipy.linalg takes longer than solving twelve taps."""
 
+import math
+
 import numpy as np
 
 from transopt.base.signals import FloatArray
@@ -25,10 +27,10 @@ def balanced(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
     for _ in range(MOST_SWEEPS if np.isfinite(found).all() else 0):
         settled = True
         for i in range(scale.size):
-            column, row = np.linalg.norm(found[:, i]), np.linalg.norm(found[i])
-            if not (column > 0 and row > 0):
+            column, row = math.hypot(*found[:, i].tolist()), math.hypot(*found[i].tolist())
+            if not (0 < column < math.inf and 0 < row < math.inf):
                 continue
-            by = np.exp2(np.rint(0.5 * np.log2(row / column)))
+            by = float(np.exp2(round(0.5 * (math.log2(row) - math.log2(column)))))
             if column * by + row / by < BALANCED * (column + row):
                 found[:, i] *= by
                 found[i] /= by

@@ -256,7 +256,11 @@ class Posed(Held):
         by_grip = interpolation_weights(self.grips_N, grip_N)
         weights = np.outer(speed_weights(self.speeds_m_s, speed_m_s), by_grip)
         known = bool(np.all(np.array(self.meta["slow_part_known"])[weights > 0]))
-        return self._wanted(speed_m_s, lambda course: np.tensordot(weights, course, 2), np.inf, known)
+
+        def blended(course: FloatArray) -> FloatArray:
+            return (weights.ravel() @ course.reshape(weights.size, -1)).reshape(course.shape[2:])
+
+        return self._wanted(speed_m_s, blended, np.inf, known)
 
     def _wanted(self, speed_m_s: float, of: Callable[[FloatArray], FloatArray], ends_s: float, known: bool) -> Wanted:
         """Target and motion; `of` selects or blends a course (v, g, ...) of the nodes."""

@@ -555,8 +555,12 @@ def _peaks_of_motor(of_A: FloatArray, B: FloatArray, stages: int) -> FloatArray:
 
 def powers(A: FloatArray, last: int) -> FloatArray:
     """((last + 1) n, n) powers A^0 to A^last one below the other, by doubling."""
-    n = A.shape[0]
-    stacked = np.concatenate([np.eye(n), A])
-    while (missing := (last + 1) * n - stacked.shape[0]) > 0:
-        stacked = np.concatenate([stacked, stacked[n : n + missing] @ stacked[-n:]])
-    return stacked[: (last + 1) * n]
+    n, known = A.shape[0], 2
+    found = np.empty(((max(last, 1) + 1) * n, n), dtype=A.dtype)
+    found[: 2 * n] = np.concatenate([np.eye(n), A])
+    while known <= last:
+        more = min(known - 1, last + 1 - known)
+        highest, into = found[(known - 1) * n : known * n], found[known * n : (known + more) * n]
+        np.matmul(found[n : (1 + more) * n], highest, out=into)
+        known += more
+    return found[: (last + 1) * n]

@@ -132,7 +132,7 @@ def _workspace(count: int, problems: NDArray[np.void]) -> FloatArray:
     """The workspace of this thread, reused: allocating fresh memory takes as long as solving a short problem."""
     assert _LIBRARY is not None
     kept: FloatArray = vars(_memory).setdefault("kept", np.empty(0))
-    needed = _LIBRARY.tr_workspace(count, address(problems))
+    needed = _LIBRARY.tr_workspace(count, problems.ctypes.data)
     if kept.size >= needed:
         return kept
     fresh = np.empty(needed)
@@ -143,13 +143,14 @@ def _workspace(count: int, problems: NDArray[np.void]) -> FloatArray:
 
 def _stated(given: Sequence[Stages]) -> NDArray[np.void]:
     """Problems as an array of the C structure; their stage data keep the arrays alive."""
-    found = np.empty(len(given), dtype=PROBLEM)
-    for name, kind in PROBLEM_FIELDS:
-        if kind is DOUBLES:
-            found[name] = [each.addresses[name] for each in given]
-        else:
-            found[name] = [(each.sizes if kind is ct.c_int else each.numbers)[name] for each in given]
-    return found
+    rows = [
+        tuple(
+            (each.addresses if kind is DOUBLES else each.sizes if kind is ct.c_int else each.numbers)[name]
+            for name, kind in PROBLEM_FIELDS
+        )
+        for each in given
+    ]
+    return np.array(rows, dtype=PROBLEM)
 
 
 def _at(arrays: Mapping[str, FloatArray], fields: list[tuple[str, np.dtype[Any]]]) -> NDArray[np.void]:
@@ -182,7 +183,7 @@ def _answers(method: Any, given: Sequence[Stages], asked: _Options) -> list[Answ
         arrays = {"command": command, "size": size, "gradient": gradient, "start": start}
         problems, results = _stated(some), _at(arrays | {"lower": sides[0], "upper": sides[1]}, RESULT)
         space = _workspace(count, problems)
-        method(count, address(problems), ct.byref(asked), address(space), address(results))
+        method(count, problems.ctypes.data, ct.byref(asked), address(space), results.ctypes.data)
         lower, upper = sides[..., : (N + 1) * rows].reshape(2, count, N + 1, rows)
         numbers = (results[name].tolist() for name in ("code", "iterations", "objective", "gap", "residual"))
         waves = (np.swapaxes(each, 1, 2) if motors > 1 else each[..., 0] for each in (command, gradient))
@@ -274,7 +275,7 @@ def prove(asked: Sequence[Judged]) -> list[Proof]:
         proofs["lower"] = firsts = np.array([address(each) for each in asked_of], dtype=np.uintp)
         proofs["upper"] = firsts + np.array([each.strides[0] for each in asked_of], dtype=np.uintp)
         space = _workspace(count, problems)
-        _LIBRARY.tr_prove(count, address(problems), address(space), address(proofs))
+        _LIBRARY.tr_prove(count, problems.ctypes.data, address(space), proofs.ctypes.data)
         told = zip(*(proofs[name].tolist() for name in Proof._fields[1:]), strict=True)
         for i, row, each, numbers in zip(group, excess, some, told, strict=True):
             found[i] = Proof(row[: each.stages.sizes["rows"]], *numbers)
