@@ -321,21 +321,19 @@ class Course:
         return Course(self.period, self.given[taps], self.command[taps])
 
     @property
-    def _arriving(self) -> tuple[FloatArray, FloatArray]:
-        """(M, n, instants) states and (M, instants) acting commands just after the switching instants."""
-        n, given = self.period.to_middle.shape[0], self.given[..., self.period.at_switching]
-        states = self.period.to_middle @ given if self.period.arriving else given[:, :n]
-        return states, given[:, n + self.period.arriving]
-
-    def accelerations(self, flow: Flow) -> FloatArray:
+    def accelerations(self) -> FloatArray:
         """(M, instants) y'' just after the switching instants."""
-        states, felt = self._arriving
-        return np.asarray(flow.rows[0] @ states + flow.direct[0] * felt)
+        period = self.period
+        first = period.arriving * period.segments[0].offsets_s.size
+        return np.asarray(period.to_samples[0][:, first] @ self.given[..., period.at_switching])
 
     def rounding(self, flow: Flow) -> FloatArray:
         """(M,) rounding error of y'' there: `ROUNDING` times the largest sum of the absolute values of its terms."""
-        states, felt = map(np.abs, self._arriving)
-        terms = np.abs(flow.rows[0]) @ states + np.abs(flow.direct[0]) * felt
+        period, given = self.period, self.given[..., self.period.at_switching]
+        n = period.to_middle.shape[0]
+        states = period.to_middle @ given if period.arriving else given[:, :n]
+        felt = given[:, n + period.arriving]
+        terms = np.abs(flow.rows[0]) @ np.abs(states) + np.abs(flow.direct[0] * felt)
         return np.asarray(ROUNDING * terms.max(axis=1))
 
 
@@ -434,10 +432,10 @@ def accurate(stage: StageModel, grid: TimeGrid, commands: FloatArray, loop: Loop
         period = stage.kept((Period, halvings), (), grid, lambda: Period.of(flow, grid, halvings))
         return _play(stage, flow, grid, commands, period, loop)
 
-    coarse = played(0).accelerations(flow)
+    coarse = played(0).accelerations
     for halvings in range(1, MOST_HALVINGS + 1):
         course = played(halvings)
-        found = course.accelerations(flow)
+        found = course.accelerations
         difference, peak = np.abs(found - coarse).max(axis=1), np.abs(found).max(axis=1)
         step_error = difference / peak_scale(peak, 0.0)
         if not np.all(step_error <= STEP_ERROR):

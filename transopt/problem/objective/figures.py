@@ -144,7 +144,8 @@ class Yardstick:
             if first.stop < off.shape[1] and self._bump:
                 bump = np.abs(_through(self._bump, off)[:, first.stop :]).max(axis=1)
         if self._felt:
-            felt_off, felt_made, felt_recorded = (_size(_through(self._felt, each)) for each in (off, made, recorded))
+            off_felt, made_felt = _through(self._felt, np.stack([off, made]))
+            felt_off, felt_made, felt_recorded = map(_size, (off_felt, made_felt, made_felt - off_felt))
             felt_error, felt_dB = _over(felt_off, felt_recorded), _dB(felt_made**2, felt_recorded**2)
         columns = (
             _over(_size(off[:, first]), size),
