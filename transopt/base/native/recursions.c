@@ -1,7 +1,7 @@
 /* Linear recursions over the stages of a transient, linear systems with inputs and outputs, the temperatures of a coil,
- * a linear system that strikes a contact, and a spline, whose slopes satisfy such a recursion. Recursions work in place: x holds the forcing of every
- * stage at first and the states at the end. All arrays are row by row. C99 without dependencies, no global state, no
- * allocation.
+ * a linear system that strikes a contact, and a spline, whose slopes satisfy such a recursion. Recursions work in place:
+ * x holds the forcing of every stage at first and the states at the end. All arrays are row by row. C99 without
+ * dependencies, no global state, no allocation.
  */
 #include <float.h>
 #include <math.h>
@@ -209,44 +209,83 @@ void tr_bilinear(size_t count, int m, const double *M, const double *b, const do
     }
 }
 
-static const double inverse_factorial[] = {1,         1,          1. / 2,      1. / 6,       1. / 24,     1. / 120,
-                                           1. / 720,  1. / 5040,  1. / 40320,  1. / 362880,  1. / 3628800};
+enum { HEATED = 16 }; /* steps whose maps are computed together, in vector registers */
 
-/* (e^x - 1) / x; near zero by its series, which takes no division and neglects less than the rounding. */
-ALWAYS_INLINE double mean_growth(double x)
+/* (e^x - 1) / x near zero by its series, of which |x| < NEAR neglects less than the rounding. */
+#define NEAR 0.0625
+ALWAYS_INLINE double near_growth(double x)
 {
-    if (!(fabs(x) < 0.0625)) return expm1(x) / x;
-    double sum = inverse_factorial[10];
-    for (int k = 9; k > 0; k--) sum = sum * x + inverse_factorial[k];
-    return sum;
+    static const double inverse_factorial[] = {1. / 2, 1. / 6, 1. / 24, 1. / 120, 1. / 720, 1. / 5040, 1. / 40320,
+                                               1. / 362880, 1. / 3628800};
+    double sum = inverse_factorial[8];
+    for (int k = 7; k >= 0; k--) sum = sum * x + inverse_factorial[k];
+    return 1 + sum * x;
 }
+
+/* Increments T+ - T = p T + s of both temperatures over up to HEATED steps, p by rows and then s; see `tr_heated`. */
+ALWAYS_INLINE void heat_maps(const size_t used, const double *heat, const double *q, const double *steps,
+                             double (*restrict map)[HEATED])
+{
+    const double m12 = heat[1], m21 = heat[2], m22 = heat[3], c2 = heat[5];
+    double high[HEATED], low[HEATED], fast[HEATED], slow[HEATED], half[HEATED], distance[HEATED];
+    double m11[HEATED], heating[HEATED], h[HEATED];
+    int away = 0;
+    for (size_t j = 0; j < HEATED; j++) heating[j] = j < used ? q[j] : 0, h[j] = j < used ? steps[j] : 0;
+    for (int j = 0; j < HEATED; j++) {
+        m11[j] = heat[0] * heating[j] - m12;
+        half[j] = (m11[j] - m22) / 2;
+        const double mean = (m11[j] + m22) / 2, root = sqrt(half[j] * half[j] + m12 * m21);
+        distance[j] = root < DBL_MIN ? DBL_MIN : root;
+        high[j] = (mean + distance[j]) * h[j], low[j] = (mean - distance[j]) * h[j];
+        fast[j] = near_growth(low[j]), slow[j] = near_growth(high[j]);
+        away |= !(fabs(low[j]) < NEAR) | !(fabs(high[j]) < NEAR);
+    }
+    for (int j = 0; j < HEATED && away; j++) {
+        if (!(fabs(low[j]) < NEAR)) fast[j] = expm1(low[j]) / low[j];
+        if (!(fabs(high[j]) < NEAR)) slow[j] = expm1(high[j]) / high[j];
+    }
+    for (int j = 0; j < HEATED; j++) {
+        const double level = h[j] * (slow[j] + fast[j]) / 2, slope = h[j] * (slow[j] - fast[j]) / (2 * distance[j]);
+        const double f11 = level + slope * half[j], f22 = level - slope * half[j], c1 = heat[4] * heating[j];
+        const double f12 = slope * m12, f21 = slope * m21;
+        map[0][j] = f11 * m11[j] + f12 * m21, map[1][j] = f11 * m12 + f12 * m22;
+        map[2][j] = f21 * m11[j] + f22 * m21, map[3][j] = f21 * m12 + f22 * m22;
+        map[4][j] = f11 * c1 + f12 * c2, map[5][j] = f21 * c1 + f22 * c2;
+    }
+}
+
+#define HEAT_ARGUMENTS const size_t used, const double *heat, const double *q, const double *steps, double (*map)[HEATED]
+typedef void heat_maps_of(HEAT_ARGUMENTS);
+
+static void heat_maps_anywhere(HEAT_ARGUMENTS) { heat_maps(used, heat, q, steps, map); }
+
+#if defined(WITH_AVX2)
+WITH_AVX2 static void heat_maps_avx2(HEAT_ARGUMENTS) { heat_maps(used, heat, q, steps, map); }
+
+WITH_AVX512 static void heat_maps_avx512(HEAT_ARGUMENTS) { heat_maps(used, heat, q, steps, map); }
+#endif
 
 /* Temperatures T of a coil's winding and housing, dT/dt = m T + c, exact for steps of constant heating q = i_eff^2:
  * m = (heat[0] q - heat[1], heat[1]; heat[2], heat[3]) and c = (heat[4] q, heat[5]). The eigenvalues of m are real.
- * A step is T+ = T + f (m T + c) with f the step times the mean growth of m, a function of a 2 x 2 matrix: with the
- * eigenvalues a +- d it is the mean of its values at a + d and a - d, plus their difference over 2 d times (m - a).
- * The rise above the start has a recursion of its own, so that small rises keep their digits.
+ * A step is T+ = T + f (m T + c) with f the step times the mean growth (e^x - 1) / x of m, a function of a 2 x 2 matrix:
+ * with the eigenvalues a +- d it is the mean of its values at a + d and a - d, plus their difference over 2 d times
+ * (m - a). The rise above the start has a recursion of its own, so that small rises keep their digits.
  * q (courses, count), steps (count); winding, housing (courses, count + 1) with the start in their first column. What
  * is not finite becomes infinite. */
 void tr_heated(size_t courses, size_t count, const double *heat, const double *q, const double *steps, double *winding,
                double *housing)
 {
+    heat_maps_of *const maps = BEST_OF(heat_maps);
+    double map[6][HEATED];
     for (; courses > 0; courses--, q += count, winding += count + 1, housing += count + 1) {
-        const double warm = winding[0], warm_h = housing[0], m12 = heat[1], m21 = heat[2], m22 = heat[3];
+        const double warm = winding[0], warm_h = housing[0];
         double rise = 0, rise_h = 0;
         for (size_t k = 0; k < count; k++) {
-            const double m11 = heat[0] * q[k] - heat[1], c1 = heat[4] * q[k], c2 = heat[5], h = steps[k];
-            const double mean = (m11 + m22) / 2, half = (m11 - m22) / 2;
-            const double distance = fmax(sqrt(half * half + m12 * m21), DBL_MIN);
-            const double fast = h * mean_growth((mean - distance) * h), slow = h * mean_growth((mean + distance) * h);
-            const double level = (slow + fast) / 2, slope = (slow - fast) / (2 * distance);
-            const double f11 = level + slope * half, f12 = slope * m12, f21 = slope * m21, f22 = level - slope * half;
-            const double p11 = f11 * m11 + f12 * m21, p12 = f11 * m12 + f12 * m22;
-            const double p21 = f21 * m11 + f22 * m21, p22 = f21 * m12 + f22 * m22;
-            const double pushed = p11 * warm + p12 * warm_h + (f11 * c1 + f12 * c2);
-            const double pushed_h = p21 * warm + p22 * warm_h + (f21 * c1 + f22 * c2);
-            const double next = (1 + p11) * rise + p12 * rise_h + pushed;
-            rise_h = p21 * rise + (1 + p22) * rise_h + pushed_h;
+            const size_t j = k % HEATED, left = count - k;
+            if (j == 0) maps(left < HEATED ? left : HEATED, heat, q + k, steps + k, map);
+            const double p11 = map[0][j], p12 = map[1][j], p21 = map[2][j], p22 = map[3][j];
+            const double next = (1 + p11) * rise + p12 * rise_h + (p11 * warm + p12 * warm_h + map[4][j]);
+            rise_h = p21 * rise + (1 + p22) * rise_h + (p21 * warm + p22 * warm_h + map[5][j]);
             rise = next;
             winding[k + 1] = isfinite(rise) ? warm + rise : INFINITY;
             housing[k + 1] = isfinite(rise_h) ? warm_h + rise_h : INFINITY;
