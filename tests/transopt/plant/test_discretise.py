@@ -12,7 +12,7 @@ from transopt.design.build import build_library
 from transopt.design.verify import verify_library
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.chain import Link, chain
-from transopt.plant.discretise import Motion, TimeGrid, discretise, state_scale
+from transopt.plant.discretise import Motion, TimeGrid, discretise, powers, state_scale
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.continuous import accurate, fine
@@ -201,3 +201,12 @@ def test_state_scale_is_the_peak_under_the_square_wave(stages: int) -> None:
         x = A @ x + B * (3.0 if k // 20 % 2 == 0 else -3.0)
         peak = np.maximum(peak, np.abs(x))
     np.testing.assert_allclose(state_scale(A, B, 3.0, stages), np.append(peak[:4], 1.0), rtol=1e-10)
+
+
+@pytest.mark.parametrize("last", [-1, 0, 1, 2, 5, 12, 33])
+def test_powers_lie_one_below_the_other(last: int) -> None:
+    A = np.random.default_rng(3).standard_normal((4, 4)) / 3
+    found = powers(A, last)
+    assert found.shape == (4 * (last + 1), 4)
+    for j in range(last + 1):
+        np.testing.assert_allclose(found[4 * j : 4 * j + 4], np.linalg.matrix_power(A, j), rtol=1e-12, atol=1e-14)
