@@ -69,6 +69,18 @@ def test_they_obey_the_laws_of_motion(scene: Scene) -> None:
         assert np.abs(found - wanted).max() < 1e-5 * np.abs(wanted).max()
 
 
+@pytest.mark.parametrize("taps", [7, 12, 23, 31, 37])
+def test_side_by_side_each_tap_is_as_alone(scene: Scene, taps: int) -> None:
+    target, plant = scene.recordings.simulated, scene.plant(3.0, struck=True)
+    assert target is not None
+    speeds = np.linspace(0.1, 0.4, taps)
+    _, *together = strike(plant, target, speeds, 3e-3)
+    for i in (0, taps // 2, taps - 1):
+        _, *alone = strike(plant, target, speeds[i : i + 1], 3e-3)
+        for found, wanted in zip(together, alone, strict=True):
+            np.testing.assert_allclose(found[i], wanted[0], rtol=0, atol=1e-12 * np.abs(wanted).max())
+
+
 @pytest.mark.skipif(recursions.COMPILED is None, reason="the extension is not built")
 def test_what_overflows_is_not_hidden() -> None:
     stages = np.hstack([np.ones((8, 2)), np.zeros((8, 4))])

@@ -364,12 +364,12 @@ void tr_spline_even(size_t knots, const double *y, size_t count, double first, d
     }
 }
 
-/* The time series that a strike processes side by side: two registers of the widest kind. */
+/* The time series that a strike processes side by side: up to four registers of the widest kind. One alone would wait
+ * for its own results most of the time. */
+enum { MOST_OUTPUTS = 4, STAGES = 4, REGISTERS = 4, LANES = REGISTERS * ABREAST };
 typedef struct {
-    wide half[2];
+    wide in[REGISTERS];
 } lanes;
-enum { LANES = 2 * ABREAST };
-enum { MOST_OUTPUTS = 4, STAGES = 4 };
 
 /* An entry of a sparse matrix. */
 struct entry {
@@ -413,29 +413,28 @@ ALWAYS_INLINE double power(double x, double exponent)
     return y > 700 ? INFINITY : y < -700 ? 0 : e;
 }
 
-/* The sum of a sparse row over the states and forces of the lanes of one half or both. */
-ALWAYS_INLINE void sum_of(const int halves, const struct entry *at, const struct entry *end, const lanes *z, lanes *to)
+/* The sum of a sparse row over the states and forces of the lanes of the first registers. */
+ALWAYS_INLINE void sum_of(const int registers, const struct entry *at, const struct entry *end, const lanes *z, lanes *to)
 {
-    wide sum[2];
-    for (int h = 0; h < halves; h++) sum[h] = at->value * z[at->column].half[h];
+    wide sum[REGISTERS];
+    for (int r = 0; r < registers; r++) sum[r] = at->value * z[at->column].in[r];
     while (++at < end)
-        for (int h = 0; h < halves; h++) sum[h] += at->value * z[at->column].half[h];
-    for (int h = 0; h < halves; h++) to->half[h] = sum[h];
+        for (int r = 0; r < registers; r++) sum[r] += at->value * z[at->column].in[r];
+    for (int r = 0; r < registers; r++) to->in[r] = sum[r];
 }
 
-/* One block of up to LANES courses in one half of the lanes or both, see `tr_struck`; `starts` of the rows among their
- * entries. */
-ALWAYS_INLINE void strike_in(const int halves, const size_t steps, const int n, const int outputs, const size_t columns,
-                             const struct entry *entries, const int *starts, const double *contact, lanes *restrict z,
+/* One block of up to LANES courses in this many registers, see `tr_struck`; `starts` of the rows among their entries. */
+ALWAYS_INLINE void strike_in(const int registers, const size_t steps, const int n, const int outputs,
+                             const size_t columns, const struct entry *entries, const int *starts, const double *contact, lanes *restrict z,
                              double *found, const size_t used)
 {
     lanes seen[2], next[MOST_OUTPUTS + MOST_STATES];
     double depth[LANES], closing[LANES], force[LANES];
-    const int count = halves * LANES / 2;
+    const int count = registers * ABREAST;
     for (size_t k = 0; k <= steps; k++) {
         const int *row = starts;
         for (int j = 0; j < STAGES; j++) {
-            for (int o = 0; o < 2; o++, row++) sum_of(halves, entries + row[0], entries + row[1], z, seen + o);
+            for (int o = 0; o < 2; o++, row++) sum_of(registers, entries + row[0], entries + row[1], z, seen + o);
             memcpy(depth, seen, (size_t)count * sizeof *depth);
             memcpy(closing, seen + 1, (size_t)count * sizeof *closing);
             for (int c = 0; c < count; c++) {
@@ -448,12 +447,12 @@ ALWAYS_INLINE void strike_in(const int halves, const size_t steps, const int n, 
             memcpy(z + n + j, force, (size_t)count * sizeof *force);
         }
         for (int i = 0; i < outputs + n; i++, row++)
-            sum_of(halves, entries + row[0], entries + row[1], z, next + i);
+            sum_of(registers, entries + row[0], entries + row[1], z, next + i);
         for (int i = 0; i < outputs; i++)
             memcpy(found + (k * (size_t)outputs + (size_t)i) * columns, next + i, used * sizeof(double));
         if (k < steps)
             for (int i = 0; i < n; i++)
-                for (int h = 0; h < halves; h++) z[i].half[h] = next[outputs + i].half[h];
+                for (int r = 0; r < registers; r++) z[i].in[r] = next[outputs + i].in[r];
     }
 }
 
@@ -464,8 +463,12 @@ typedef void strike_of(STRIKE_ARGUMENTS);
 
 ALWAYS_INLINE void strike(STRIKE_ARGUMENTS)
 {
-    if (used > LANES / 2) strike_in(2, steps, n, outputs, columns, entries, starts, contact, z, found, used);
-    else strike_in(1, steps, n, outputs, columns, entries, starts, contact, z, found, used);
+    switch ((used + ABREAST - 1) / ABREAST) {
+    case 1: strike_in(1, steps, n, outputs, columns, entries, starts, contact, z, found, used); break;
+    case 2: strike_in(2, steps, n, outputs, columns, entries, starts, contact, z, found, used); break;
+    case 3: strike_in(3, steps, n, outputs, columns, entries, starts, contact, z, found, used); break;
+    default: strike_in(REGISTERS, steps, n, outputs, columns, entries, starts, contact, z, found, used);
+    }
 }
 
 static void strike_anywhere(STRIKE_ARGUMENTS)
