@@ -5,13 +5,16 @@ for any cut-off. A difference equation loses digits with the square of rate over
 large at 8 Hz and 100 kHz. It also avoids loading scipy.signal, which takes a seventh of a whole `transopt solve`.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
 from transopt.base.recursions import LinearSystem
-from transopt.base.signals import Signal
+from transopt.base.signals import FloatArray, Signal
+
+ABREAST = 8  # courses that one call filters: as many as the widest register has numbers
 
 
 @dataclass(frozen=True)
@@ -42,17 +45,27 @@ def lowpass(x: Signal, cutoff_Hz: float) -> Signal:
     0.2 ms, two servo ticks. A cut-off at or above 0.45 of the sampling rate leaves the signal as it is:
     there is nothing left to remove.
     """
-    if cutoff_Hz >= 0.45 * x.rate_Hz:
-        return x
-    filtering = _butterworth(cutoff_Hz, x.rate_Hz)
-    # Constant padding: a tap recorded without a baseline must not be continued by its mirror image.
-    # Ten time constants of the filter, so that a step at the edge has decayed inside the padding.
-    pad = min(x.values.size - 1, int(np.ceil(10 * x.rate_Hz / (2 * np.pi * cutoff_Hz))))
-    course = np.concatenate([np.full(pad, x.values[0]), x.values, np.full(pad, x.values[-1])])
-    for _ in range(2):
-        # Forwards, then backwards, each time starting in the steady state of the first value.
-        course = (course[0] + filtering.low.outputs((course - course[0])[None])[0])[::-1]
-    return replace(x, values=np.ascontiguousarray(course[pad : pad + x.values.size]))
+    return lowpass_all([x], cutoff_Hz)[0]
+
+
+def lowpass_all(signals: Sequence[Signal], cutoff_Hz: float) -> list[Signal]:
+    """`lowpass` of each signal, those of one rate and length side by side."""
+
+    def filtered(courses: FloatArray, rate_Hz: float) -> FloatArray:
+        low, size = _butterworth(cutoff_Hz, rate_Hz).low, courses.shape[1]
+        # Constant padding: a tap recorded without a baseline must not be continued by its mirror image.
+        # Ten time constants of the filter, so that a step at the edge has decayed inside the padding.
+        pad = min(size - 1, int(np.ceil(10 * rate_Hz / (2 * np.pi * cutoff_Hz))))
+        before, after = (np.repeat(courses[:, edge], pad, axis=1) for edge in (slice(0, 1), slice(size - 1, size)))
+        courses = np.hstack([before, courses, after])
+        for _ in range(2):
+            # Forwards, then backwards, each time starting in the steady state of the first value.
+            first = courses[:, :1]
+            courses = (first + low.outputs((courses - first)[:, None])[:, 0])[:, ::-1]
+        return courses[:, pad : pad + size]
+
+    found = iter(_side_by_side([x for x in signals if cutoff_Hz < 0.45 * x.rate_Hz], filtered))
+    return [next(found) if cutoff_Hz < 0.45 * x.rate_Hz else x for x in signals]
 
 
 def highpass(x: Signal, cutoff_Hz: float) -> Signal:
@@ -60,5 +73,28 @@ def highpass(x: Signal, cutoff_Hz: float) -> Signal:
 
     It is causal, so that nothing of a tap appears before its contact.
     """
-    filtering = _butterworth(cutoff_Hz, x.rate_Hz)
-    return replace(x, values=filtering.high.outputs(x.values[None])[0])
+    return highpass_all([x], cutoff_Hz)[0]
+
+
+def highpass_all(signals: Sequence[Signal], cutoff_Hz: float) -> list[Signal]:
+    """`highpass` of each signal, those of one rate and length side by side."""
+
+    def filtered(courses: FloatArray, rate_Hz: float) -> FloatArray:
+        return _butterworth(cutoff_Hz, rate_Hz).high.outputs(courses[:, None])[:, 0]
+
+    return _side_by_side(signals, filtered)
+
+
+def _side_by_side(signals: Sequence[Signal], filtered: Callable[[FloatArray, float], FloatArray]) -> list[Signal]:
+    """Signals with the values that `filtered` makes of courses (n, K) at a rate [Hz]; `ABREAST` courses at a time."""
+    alike: dict[tuple[float, int], list[int]] = {}
+    for i, x in enumerate(signals):
+        alike.setdefault((x.dt_s, x.values.size), []).append(i)
+    found = list(signals)
+    for numbers in alike.values():
+        for first in range(0, len(numbers), ABREAST):
+            some = [signals[i] for i in numbers[first : first + ABREAST]]
+            courses = filtered(np.stack([x.values for x in some]), some[0].rate_Hz)
+            for i, x, values in zip(numbers[first:], some, courses, strict=False):
+                found[i] = replace(x, values=np.array(values))
+    return found

@@ -4,13 +4,14 @@ An accelerometer reads gravity as a static offset and may be mounted upside down
 in the recording unless the scene states them.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from transopt.base.errors import InputError
-from transopt.base.filters import highpass
+from transopt.base.filters import highpass_all
 from transopt.base.signals import FloatArray, Signal, median
 from transopt.recordings.approach import GUARD_S
 from transopt.recordings.recording import Recording
@@ -54,7 +55,20 @@ def find_onset(x: Signal) -> float:
     return max(low - 0.5 * (high - low), x.start_s)
 
 
-def _toe(x: Signal, smooth: Signal, onset_s: float, noise_m_s2: float, settings: Recordings) -> tuple[float, float]:
+class Rise(NamedTuple):
+    """A tap above the level that it rises from.
+
+    Attributes
+    ----------
+    signal : in the recording's own time [m/s^2].
+    quick : what a high-pass at 8 Hz leaves of it and of the low-passed tap; empty for a rate too low for that.
+    """
+
+    signal: Signal
+    quick: tuple[Signal, ...] = ()
+
+
+def _toe(rise: Rise, onset_s: float, noise_m_s2: float, settings: Recordings) -> tuple[float, float]:
     """Find where a pulse begins, at or before its onset [s], and the share of its energy between the two.
 
     A pulse between soft bodies rises gradually, and the onset line reaches zero long after the pulse has begun.
@@ -66,10 +80,10 @@ def _toe(x: Signal, smooth: Signal, onset_s: float, noise_m_s2: float, settings:
     Its energy is that of the recorded signal less that of the noise, because a zero-phase low-pass would move part of
     a hard pulse before its onset.
     """
-    slowest_Hz = settings.time_scale * SLOWEST_HZ
-    if slowest_Hz >= 0.45 * x.rate_Hz:
+    x, quick = rise
+    if not quick:
         return onset_s, 0.0
-    recorded, rises = (highpass(each, slowest_Hz).values for each in (x, smooth))
+    recorded, rises = (each.values for each in quick)
     left = noise_m_s2 * np.sqrt(min(2 * settings.time_scale * settings.lowpass_Hz / x.rate_Hz, 1.0))
     level = max(TOE_LEVEL * float(x.values.max()), TOE_TO_NOISE * left)
     onset = x.before(onset_s)
@@ -150,22 +164,38 @@ def upright(recording: Recording, settings: Recordings) -> Upright:
     return Upright(signal, polarity, offset, rest, is_stated or baseline is not None, [*notes, *more])
 
 
+def rises(ups: Sequence[Upright], smooth: Sequence[Signal], settings: Recordings) -> list[Rise]:
+    """The taps above the levels that they rise from.
+
+    Parameters
+    ----------
+    smooth : the signals of `ups`, low-passed.
+    """
+    slowest_Hz = settings.time_scale * SLOWEST_HZ
+    found = [Rise(replace(up.signal, values=up.signal.values - up.rest_m_s2)) for up in ups]
+    fast = [i for i, rise in enumerate(found) if slowest_Hz < 0.45 * rise.signal.rate_Hz]
+    recorded = highpass_all([found[i].signal for i in fast], slowest_Hz)
+    lowpassed = [replace(smooth[i], values=smooth[i].values - ups[i].rest_m_s2) for i in fast]
+    for i, *quick in zip(fast, recorded, highpass_all(lowpassed, slowest_Hz), strict=True):
+        found[i] = found[i]._replace(quick=tuple(quick))
+    return found
+
+
 def contact(
-    recording: Recording, up: Upright, smooth: Signal, noise_m_s2: float, settings: Recordings
+    recording: Recording, up: Upright, rise: Rise, noise_m_s2: float, settings: Recordings
 ) -> tuple[float, list[str]]:
     """Time of contact [s], and notes; a soft pulse begins before the onset that its rise points to.
 
     Parameters
     ----------
-    smooth : `up.signal`, low-passed. noise_m_s2 : rms of the white noise in the recording.
+    rise : of this tap. noise_m_s2 : rms of the white noise in the recording.
 
     Raises
     ------
     InputError : no tap stands out of the noise, or the stated onset lies outside of the recording.
     """
     raw, is_found, notes = recording.acceleration, settings.onset_s == "auto", list[str]()
-    risen = replace(up.signal, values=up.signal.values - up.rest_m_s2)
-    onset = find_onset(risen) if is_found else float(settings.onset_s)
+    onset = find_onset(rise.signal) if is_found else float(settings.onset_s)
     if not raw.start_s <= onset <= raw.end_s:
         raise InputError(
             f"{recording.name}: recordings.onset_s = {onset:g} s lies outside of the recording, {raw.start_s:g} to "
@@ -177,7 +207,7 @@ def contact(
             f"{recording.name}: highest sample {highest:.3g} m/s^2, noise {noise_m_s2:.3g} m/s^2 rms: no tap "
             f"stands out (limit {LEAST_PEAK_TO_NOISE:g} times): record it again or state recordings.onset_s"
         )
-    begins, share = _toe(risen, replace(smooth, values=smooth.values - up.rest_m_s2), onset, noise_m_s2, settings)
+    begins, share = _toe(rise, onset, noise_m_s2, settings)
     if share > TOE_SHARE:
         found = f"a soft pulse: {100 * share:.2g} % of its energy in the {1e3 * (onset - begins):.2g} ms before"
         if is_found:

@@ -2,6 +2,7 @@
 
 import glob
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.files import is_file
-from transopt.base.filters import lowpass
+from transopt.base.filters import lowpass, lowpass_all
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray, Signal, median
 from transopt.base.sizes import MOST_FILES
@@ -18,7 +19,7 @@ from transopt.files.formats import refuse_idle
 from transopt.files.unclear import UnclearError
 from transopt.recordings.after_contact import pulled_back_after_s, second_hit
 from transopt.recordings.approach import GUARD_S, find_approach
-from transopt.recordings.onset import contact, upright
+from transopt.recordings.onset import Rise, Upright, contact, rises, upright
 from transopt.recordings.plausible import HAND_M_S, implausible_motion, implausible_time
 from transopt.recordings.recording import Recording, load_recording
 from transopt.recordings.settings import Recordings
@@ -247,10 +248,25 @@ def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
     ------
     InputError : the recording has no tap, the onset lies outside of it, or no speed can be fitted to the position.
     """
-    raw, stretch = recording.acceleration, settings.time_scale
-    up, noise = upright(recording, settings), white_noise(raw)
-    smooth = lowpass(up.signal, stretch * settings.lowpass_Hz)
-    onset, found = contact(recording, up, smooth, noise, settings)
+    return prepare_all([recording], settings)[0]
+
+
+def prepare_all(recordings: Sequence[Recording], settings: Recordings) -> list[PreparedTap]:
+    """`prepare` each recording; the filters run over all of them.
+
+    Raises
+    ------
+    InputError : as by `prepare`, for the first recording that is refused.
+    """
+    ups = [upright(recording, settings) for recording in recordings]
+    smooth = lowpass_all([up.signal for up in ups], settings.time_scale * settings.lowpass_Hz)
+    begun = zip(recordings, ups, smooth, rises(ups, smooth, settings), strict=True)
+    return [_prepared(*each, settings) for each in begun]
+
+
+def _prepared(recording: Recording, up: Upright, smooth: Signal, rise: Rise, settings: Recordings) -> PreparedTap:
+    raw, stretch, noise = recording.acceleration, settings.time_scale, white_noise(recording.acceleration)
+    onset, found = contact(recording, up, rise, noise, settings)
     is_stated = settings.offset_m_s2 != "baseline"
     came = find_approach(up.signal, recording.position, onset, noise, settings.trusted_from_Hz, stated=is_stated)
     if came.acceleration is not up.signal:
