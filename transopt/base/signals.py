@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,7 +80,10 @@ class Signal:
 
     def at(self, times_s: FloatArray) -> FloatArray:
         """Cubic-spline samples at `times_s` (m,); zero before the first and after the last sample."""
-        return splined(self.times_s, self.values, times_s)
+        if self.values.size < 4:
+            return splined(self.times_s, self.values, times_s)
+        found = spline(self.values[:, None], (times_s - self.start_s) / self.dt_s)[:, 0]
+        return np.where((times_s >= self.start_s) & (times_s <= self.end_s), found, 0.0)
 
     def evenly(self, first_s: float, step_s: float, count: int) -> FloatArray:
         """(count,) samples as by `at`, at the times first, first + step, ..., step > 0, in a third of its time."""
@@ -118,10 +121,10 @@ def _until(time_s: float, first_s: float, step_s: float, count: int) -> int:
     return k + int(k < count and first_s + step_s * k == time_s)
 
 
-def splined(times_s: FloatArray, courses: FloatArray, at_s: FloatArray, *, beyond: bool = False) -> FloatArray:
+def splined(times_s: FloatArray, courses: FloatArray, at_s: FloatArray) -> FloatArray:
     """(..., m) values at instants (m,) of the cubic not-a-knot splines through series (..., K) at even times (K,).
 
-    Before the first and after the last time the value is zero; with `beyond` the outermost pieces are extrapolated.
+    Before the first and after the last time the value is zero.
     The result equals that of `scipy.interpolate.CubicSpline`. It is faster, since it does not compute the
     coefficients of unused intervals and does not load scipy.interpolate, which loads scipy.optimize.
     """
@@ -133,9 +136,10 @@ def splined(times_s: FloatArray, courses: FloatArray, at_s: FloatArray, *, beyon
     else:
         places = (at_s - times_s[0]) / (times_s[-1] - times_s[0]) * (K - 1)
         found = spline(courses.reshape(-1, K).T, places).T.reshape(*courses.shape[:-1], at_s.size)
-    return found if beyond else np.where((at_s >= times_s[0]) & (at_s <= times_s[-1]), found, 0.0)
+    return np.where((at_s >= times_s[0]) & (at_s <= times_s[-1]), found, 0.0)
 
 
+@lru_cache(maxsize=64)  # repeats on one time axis have one length
 def fast_length(least: int) -> int:
     """Smallest length >= `least` with a fast Fourier transform: its only prime factors are 2, 3 and 5."""
     length = least

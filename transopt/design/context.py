@@ -140,10 +140,11 @@ class Context:
     def cells(self) -> Cells:
         """References of all entries of the scene."""
         rows, grips = self.scene.axes.rows, self.scene.axes.grips_N
+        of_grips = [self.references if self.scene.targets else self.references.of_grip(grip_N) for grip_N in grips]
 
         def made(i: int, j: int) -> Reference:
             speed_m_s, target = rows[i]
-            return self.reference(speed_m_s, grips[j], target)
+            return of_grips[j].named(target) if target else of_grips[j].at(speed_m_s, grips[j])
 
         return Cells.of(made, len(rows), len(grips))
 

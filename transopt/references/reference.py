@@ -6,7 +6,7 @@ the stylus without the motor. All courses are sampled at the switching instants 
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -15,12 +15,13 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.shown import brief
-from transopt.base.signals import FloatArray, fast_length, integral, nrmse, splined
+from transopt.base.signals import FloatArray, Signal, fast_length, integral, nrmse, splined
 from transopt.plant.discretise import TimeGrid
 from transopt.problem.objective.target import Target, along_normal
 from transopt.recordings.tap import PreparedTap
 
-# (speed [m/s], grip [N], a0 [m/s^2]) -> a_free as a function of time: the motion of the hand without current.
+# (speed [m/s], grip [N], a0 [m/s^2]) -> a_free as a function of time: the motion of the hand without current, linear
+# in speed and a0.
 Free = Callable[[float, float, float], Callable[[FloatArray], FloatArray]]
 
 ALIGNMENT_S = 1e-3  # largest shift of repeats against each other
@@ -142,18 +143,6 @@ class Reference:
         return np.asarray([factor * tap.amplitude for factor, tap in zip(self.factors, self.taps, strict=True)])
 
 
-def _pieces(times_s: FloatArray, courses: FloatArray, ended: int, at_s: FloatArray) -> FloatArray:
-    """(c, m) courses (c, K) at instants (m,), by one spline up to sample `ended` and another one from there on.
-
-    r jumps to zero at the end of a recording, and a single spline would ring around the jump.
-    """
-    if times_s.size - ended < 4:  # all instants lie before the end
-        return splined(times_s, courses, at_s)
-    early, late = slice(0, ended), slice(ended, None)
-    parts = [splined(times_s[part], courses[:, part], at_s, beyond=True) for part in (early, late)]
-    return np.asarray(np.where(at_s < times_s[ended], *parts))
-
-
 def _lags(repeats: FloatArray, step_s: float) -> FloatArray:
     """(n,) delay of each repeat (n, K) against their mean [s], to a fraction of the step."""
     reach = round(ALIGNMENT_S / step_s)
@@ -174,15 +163,59 @@ def _lags(repeats: FloatArray, step_s: float) -> FloatArray:
 
 
 def _spread(repeats: FloatArray) -> float:
-    """Mean relative error of repeats (n, K) against their mean; NaN for one repeat."""
-    if repeats.shape[0] < 2:
-        return float("nan")
+    """Mean relative error of repeats (n, K) against their mean."""
     mean = repeats.mean(axis=0)
     return float(np.mean([nrmse(repeat, mean) for repeat in repeats]))
 
 
+class TimeAxis:
+    """A time axis on which references are made, and the motions without current along it, kept by grip.
+
+    Parameters
+    ----------
+    grid : switching instants, those beside the window, and servo ticks.
+    free : motion of the hand without current.
+    """
+
+    def __init__(self, grid: TimeGrid, free: Free) -> None:
+        self.grid, self._free, self._kept = grid, free, dict[tuple[float, float, float], FloatArray]()
+        # At least ten points per servo period, with t = 0 among them.
+        self.step_s = min(grid.dt_s / 10, 1e-5)
+        self.contact = math.ceil((SETTLING_S + grid.lead_s) / self.step_s)
+        # Window, tail, lost samples, ticks: all but the ticks sample r.
+        self._instants = grid.switching_times_s, grid.after_times_s, grid.before_times_s, grid.all_issue_times_s
+        self.felt_at_s = np.concatenate(self._instants[:3])
+
+    def points(self, end_s: float) -> int:
+        """How many points of the fine axis reach from the settling to a time after contact."""
+        return self.contact + math.ceil(max(end_s, 0.0) / self.step_s) + 2
+
+    def by_kind(self, courses: FloatArray) -> list[FloatArray]:
+        """Courses (..., m) at the instants, in their order, split into window, tail, lost samples and ticks."""
+        return np.split(courses, np.cumsum([each.size for each in self._instants])[:-1], axis=-1)
+
+    def motion(self, speed_m_s: float, grip_N: float, incoming_m_s2: float) -> FloatArray:
+        """(3, m) a_free, z_nom and its derivative at all instants; z_nom = 0, dz_nom/dt = -speed at contact."""
+        found = speed_m_s * self._unit(1.0, grip_N, 0.0)
+        return found if incoming_m_s2 == 0 else found + incoming_m_s2 * self._unit(0.0, grip_N, 1.0)
+
+    def _unit(self, speed_m_s: float, grip_N: float, incoming_m_s2: float) -> FloatArray:
+        key = speed_m_s, grip_N, incoming_m_s2
+        if key not in self._kept:
+            count = self.points(self.grid.end_s + self.grid.after_stages * self.grid.dt_s)
+            times = np.asarray(self.step_s * np.arange(-self.contact, count - self.contact), dtype=float)
+            by_itself = self._free(*key)(times)
+            velocity = integral(by_itself, self.step_s)
+            velocity += -speed_m_s - velocity[self.contact]
+            position = integral(velocity, self.step_s)
+            position -= position[self.contact]
+            courses = np.stack([by_itself, position, velocity])
+            self._kept[key] = splined(times, courses, np.concatenate(self._instants))
+        return self._kept[key]
+
+
 def build_reference(
-    speed_m_s: float, grip_N: float, taps: Sequence[PreparedTap], factors: FloatArray, grid: TimeGrid, free: Free
+    speed_m_s: float, grip_N: float, taps: Sequence[PreparedTap], factors: FloatArray, axis: TimeAxis
 ) -> Reference:
     """Scale, align and average the taps of one grid speed and grip.
 
@@ -194,13 +227,13 @@ def build_reference(
     speed_m_s, grip_N : of the reference.
     taps : n taps.
     factors : (n,) factors that scale their accelerations to that speed.
-    grid : time axis of the reference.
-    free : motion of the hand without current.
+    axis : time axis of the reference.
 
     Raises
     ------
     InputError : a tap ends before the horizon does.
     """
+    grid, step_s = axis.grid, axis.step_s
     needed = float(grid.switching_times_s[-1])
     for tap in taps:
         if tap.acceleration.end_s < needed:
@@ -208,63 +241,47 @@ def build_reference(
                 f"{tap.recording.name}: ends {tap.acceleration.end_s * 1e3:.1f} ms after contact, the window needs "
                 f"{np.ceil(needed * 1e4) / 10:.1f} ms: record longer or lower time.stages"
             )
-    # At least ten points per servo period, with t = 0 among them.
-    step_s = min(grid.dt_s / 10, 1e-5)
-    contact = math.ceil((SETTLING_S + grid.lead_s) / step_s)
-    # Similarity and delay of the taps are computed over the window, independently of what follows it.
-    ends_s = grid.end_s, grid.end_s + grid.after_stages * grid.dt_s
-    compared, count = (contact + math.ceil(max(end_s, 0.0) / step_s) + 2 for end_s in ends_s)
-    times = np.asarray(step_s * np.arange(-contact, count - contact), dtype=float)
-
-    def scaled(shifts_s: FloatArray, count: int, tangent: int | None = None) -> FloatArray:
-        found = np.empty((len(taps), count))
-        for course, factor, tap, by in zip(found, factors, taps, shifts_s.tolist(), strict=True):
-            x = tap.acceleration if tangent is None else tap.across[tangent]
-            np.multiply(x.evenly(by - step_s * contact, step_s, count), factor, out=course)
-        return found
-
-    shifts, unaligned = np.zeros(len(taps)), float("nan")
+    shifts, unaligned, repeatability = np.zeros(len(taps)), float("nan"), float("nan")
     if len(taps) > 1:
-        as_recorded = scaled(shifts, compared)
+        # Similarity and delay of the taps are computed over the window, independently of what follows it.
+        def compared(shifts_s: FloatArray) -> FloatArray:
+            first_s, count = -step_s * axis.contact, axis.points(grid.end_s)
+            courses = [
+                tap.acceleration.evenly(first_s + by, step_s, count) for tap, by in zip(taps, shifts_s, strict=True)
+            ]
+            return factors[:, None] * courses
+
+        as_recorded = compared(shifts)
         unaligned, lags = _spread(as_recorded), _lags(as_recorded, step_s)
         # Subtract the mean, so that alignment does not move the contact.
         shifts = lags - lags.mean()
-    repeats = scaled(shifts, count)
+        repeatability = _spread(compared(shifts))
     end_s = min(tap.acceleration.end_s - by for tap, by in zip(taps, shifts, strict=True))
-    ended = int(np.searchsorted(times, end_s, side="right"))
-    recorded = repeats.mean(axis=0)
-    tangents = range(min(len(tap.across) for tap in taps))
-    across = [scaled(shifts, count, tangent).mean(axis=0) for tangent in tangents]
-    for course in (recorded, *across):
-        course[ended:] = 0.0
-    incoming = float(np.mean([f * tap.incoming_acceleration_m_s2 for f, tap in zip(factors, taps, strict=True)]))
-    by_itself = free(speed_m_s, grip_N, incoming)(times)
-    velocity = integral(by_itself, step_s)
-    velocity += -speed_m_s - velocity[contact]
-    position = integral(velocity, step_s)
-    position -= position[contact]
-    # Memory layout of a spline.
-    courses = np.stack([recorded, by_itself, position, velocity, *across], axis=1).T
 
-    # One spline evaluation for all instants, split by kind afterwards.
-    instants = (grid.switching_times_s, grid.after_times_s, grid.before_times_s, grid.all_issue_times_s)
-    sampled_at = _pieces(times, courses, ended, np.concatenate(instants))
-    window, after, before, ticks = np.split(sampled_at, np.cumsum([each.size for each in instants])[:-1], axis=1)
-    directed: Any = [0, *range(4, 4 + len(across))] if across else 0
+    def recorded(signals: Iterable[Signal]) -> FloatArray:
+        found = zip(factors, signals, shifts, strict=True)
+        mean = sum(factor * x.at(axis.felt_at_s + by) for factor, x, by in found) / len(taps)
+        return np.where(axis.felt_at_s <= end_s, mean, 0.0)
+
+    felt = recorded(tap.acceleration for tap in taps)
+    across = [recorded(tap.across[i] for tap in taps) for i in range(min(len(tap.across) for tap in taps))]
+    window, after, before, _ = axis.by_kind(np.stack([felt, *across]) if across else felt)
+    incoming = float(np.mean([f * tap.incoming_acceleration_m_s2 for f, tap in zip(factors, taps, strict=True)]))
+    free, free_after, free_before, ticks = axis.by_kind(axis.motion(speed_m_s, grip_N, incoming))
     return Reference(
         speed_m_s=speed_m_s,
         grip_N=grip_N,
         slow_part_known=all(tap.slow_part_known for tap in taps),
-        recorded_m_s2=window[directed],
-        recorded_before_m_s2=before[directed],
-        recorded_after_m_s2=after[directed],
-        free_m_s2=window[1],
-        free_before_m_s2=before[1],
-        free_after_m_s2=after[1],
-        nominal_position_m=window[2],
-        nominal_velocity_m_s=window[3],
-        nominal_position_at_ticks_m=ticks[2],
-        repeatability=_spread(repeats[:, :compared]),
+        recorded_m_s2=window,
+        recorded_before_m_s2=before,
+        recorded_after_m_s2=after,
+        free_m_s2=free[0],
+        free_before_m_s2=free_before[0],
+        free_after_m_s2=free_after[0],
+        nominal_position_m=free[1],
+        nominal_velocity_m_s=free[2],
+        nominal_position_at_ticks_m=ticks[1],
+        repeatability=repeatability,
         repeatability_unaligned=unaligned,
         taps=tuple(taps),
         factors=np.asarray(factors),

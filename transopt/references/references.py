@@ -18,8 +18,8 @@ from transopt.base.threads import one_blas_thread
 from transopt.plant.discretise import TimeGrid
 from transopt.recordings.recording import Recording
 from transopt.recordings.settings import Recordings
-from transopt.recordings.tap import PreparedTap, check_usable, prepare
-from transopt.references.reference import COURSES, Free, Reference, build_reference
+from transopt.recordings.tap import PreparedTap, check_usable, prepare_all
+from transopt.references.reference import COURSES, Free, Reference, TimeAxis, build_reference
 
 ALIKE = 0.05  # relative difference of grips that the hysteresis of a grip sensor cannot resolve
 ROUNDING = 1e-9  # relative difference up to which a grip or speed is a recorded one
@@ -140,6 +140,10 @@ class References:
         return replace(
             found, speed_m_s=speed_m_s, between_m_s=(slow.speed_m_s, fast.speed_m_s), of_grips_N=of, grip_N=grip_N
         )
+
+    def of_grip(self, grip_N: float) -> "References":
+        """References at the recorded speeds and one grip, of which `at` makes those of any number of speeds."""
+        return replace(self, cells=tuple(self._of_recorded(speed, grip_N) for speed in self._rows))
 
     def _of_recorded(self, speed_m_s: float, grip_N: float) -> Reference:
         """The reference of a recorded speed at any grip."""
@@ -276,17 +280,17 @@ def build_references(
     ------
     InputError : see `prepare`, `assign` and `build_reference`.
     """
-    taps = [prepare(recording, settings) for recording in recordings]
-    cells, notes = [], dict[str, None]()
+    taps = prepare_all(recordings, settings)
+    axis, cells, notes = TimeAxis(grid, free), [], dict[str, None]()
     grouped = grip_groups([tap.recording.grip_N for tap in taps if tap.recording.grip_N is not None])
     for speed, group in zip(speeds_m_s, assign(taps, speeds_m_s, settings), strict=True):
         if not grouped:
-            cells += [_cell(speed, grip, (), group, grid, free) for grip in grips_N]
+            cells += [_cell(speed, grip, (), group, axis) for grip in grips_N]
         for alike in grouped:
             own = [(tap, factor) for tap, factor in group if tap.recording.grip_N in alike]
             if own:
                 mean = float(f"{np.mean(alike):.6g}")
-                cells.append(_cell(speed, mean, (mean,), own, grid, free))
+                cells.append(_cell(speed, mean, (mean,), own, axis))
                 if alike[-1] > alike[0]:
                     notes[f"taps of {alike[0]:.4g} to {alike[-1]:.4g} N are taken as of one grip, {mean:.4g} N"] = (
                         None
@@ -299,11 +303,10 @@ def _cell(
     grip_N: float,
     of_grips_N: tuple[float, ...],
     scaled: Sequence[Scaled],
-    grid: TimeGrid,
-    free: Free,
+    axis: TimeAxis,
 ) -> Reference:
     taps, factors = [tap for tap, _ in scaled], np.array([factor for _, factor in scaled])
-    cell = build_reference(speed_m_s, grip_N, taps, factors, grid, free)
+    cell = build_reference(speed_m_s, grip_N, taps, factors, axis)
     return replace(cell, of_grips_N=of_grips_N)
 
 
@@ -320,8 +323,9 @@ def sampled_again(references: References, grid: TimeGrid, free: Free) -> Referen
                 f"{cell.said}: its recordings are not at hand, so it is not sampled on another time axis: open the "
                 "scene with them"
             )
+    axis = TimeAxis(grid, free)
     cells = (
-        _cell(c.speed_m_s, c.grip_N, c.of_grips_N, list(zip(c.taps, c.factors.tolist(), strict=True)), grid, free)
+        _cell(c.speed_m_s, c.grip_N, c.of_grips_N, list(zip(c.taps, c.factors.tolist(), strict=True)), axis)
         for c in references
     )
     return replace(references, cells=tuple(cells))

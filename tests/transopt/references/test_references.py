@@ -120,6 +120,19 @@ class TestMissing:
         assert found.of_grips_N == (1.0, 3.0)
         assert len(found.taps) == len(found.factors) == 12
 
+    @pytest.mark.parametrize("grip_N", [0.5, 2.0, 3.0])
+    def test_those_of_one_grip_give_the_same_at_any_speed(self, whole: References, grip_N: float) -> None:
+        of_grip = whole.of_grip(grip_N)
+        for speed_m_s in (0.1, 0.13, 0.3, 0.35):
+            found, wanted = of_grip.at(speed_m_s, grip_N), whole.at(speed_m_s, grip_N)
+            assert_alike(found, wanted)
+            assert (found.grip_N, found.between_m_s, found.of_grips_N, found.taps) == (
+                wanted.grip_N,
+                wanted.between_m_s,
+                wanted.of_grips_N,
+                wanted.taps,
+            )
+
     def test_outside_of_the_speeds_nothing_is_known(self, whole: References) -> None:
         with pytest.raises(InputError, match=r"speed 0.5 m/s: references are known from 0.1 to 0.4 m/s only"):
             whole.at(0.5, 3.0)
