@@ -29,6 +29,7 @@ from transopt.library.multipliers import ARRAYS, further_arrays, multiplier_arra
 from transopt.library.posed import PLANT
 from transopt.plant.state_space import POSITION, VELOCITY
 from transopt.problem.objective.target import along_normal
+from transopt.proof.certify import effects
 from transopt.recordings.recording import Recording
 from transopt.references.reference import COURSES, Reference
 from transopt.references.references import References
@@ -319,15 +320,27 @@ def assemble(
 
 
 def _of_entries(entries: Sequence[Sequence[Entry]], further: Sequence[str]) -> dict[str, Any]:
-    """Library arrays that are computed from the entries, multipliers included."""
-    made = {
-        name: np.array(
-            [[array.made(entry) for entry in row] for row in entries], dtype=None if array.is_text else float
-        )
-        for name, array in ARRAYS.items()
-        if array.made is not None
-    }
-    return made | multiplier_arrays([[entry.solution.multipliers for entry in row] for row in entries], further)
+    """Library arrays that are computed from the entries, multipliers included.
+
+    Device by device, whose motions are rolled out side by side and freed again: those of a whole library take more
+    memory than its file.
+    """
+    made, found = {name: array.made for name, array in ARRAYS.items() if array.made is not None}, dict[str, Any]()
+    for number, column in enumerate(zip(*entries, strict=True)):
+        held = [entry.designed.effect for entry in column if entry.designed.nonlinear is None]
+        for effect, again in zip(held, effects([(each.problem, each.command) for each in held]), strict=True):
+            effect.lasting = again.lasting
+        for name, value_of in made.items():
+            values = [value_of(entry) for entry in column]
+            if name not in found:
+                shape = len(entries), len(entries[0]), *np.shape(values[0])
+                found[name] = np.empty(shape, dtype=object if ARRAYS[name].is_text else float)
+            found[name][:, number] = values
+        for entry in column:
+            entry.let_go()
+    texts = {name: np.array(array.tolist()) for name, array in found.items() if ARRAYS[name].is_text}
+    multipliers = [[entry.solution.multipliers for entry in row] for row in entries]
+    return found | texts | multiplier_arrays(multipliers, further)
 
 
 def _meta(

@@ -109,11 +109,14 @@ class Entry(Answered):
         """
         _ = self.admitted and self.binding
         problem, effect = self.problem, self.designed.effect
+        # A nonlinear plant's motion would have to be integrated again.
+        linear = self.designed.nonlinear is None
+        rolled = ("motion", "lasting", "others", "accelerations_m_s2") if linear else ()
         for of, courses in (
             (problem, ("rest",)),
             (problem.tracking, ("wanted", "weights", "unit_wanted", "solved_weights", "solved_wanted")),
             (problem.target, ("whole_m_s2", "free_m_s2", "recorded_m_s2", "continued_m_s2")),
-            (effect, ("continued", "mean_square_A2", "rise_K", "winding_C", "values")),
+            (effect, ("continued", "mean_square_A2", "rise_K", "winding_C", "values", *rolled)),
         ):
             for course in courses:
                 vars(of).pop(course, None)

@@ -152,8 +152,11 @@ def test_an_entry_that_has_let_its_courses_go_tells_the_same(scene: Scene, taps:
     (entry,) = design([Context.recorded(scene, taps).posed(0.4, 5.0)])
     effect, target, tracking = entry.designed.effect, entry.problem.target, entry.problem.tracking
     rise_K, recorded, wanted = effect.rise_K, target.recorded_m_s2, tracking.wanted
+    felt = entry.predicted_m_s2
     entry.let_go()
-    assert not {"rise_K", "recorded_m_s2", "wanted"} & {*vars(effect), *vars(target), *vars(tracking)}
+    freed = {"rise_K", "recorded_m_s2", "wanted", "motion", "lasting"}
+    assert not freed & {*vars(effect), *vars(target), *vars(tracking)}
+    np.testing.assert_allclose(entry.predicted_m_s2, felt)
     np.testing.assert_allclose(effect.rise_K, rise_K)
     np.testing.assert_allclose(target.recorded_m_s2, recorded)
     np.testing.assert_allclose(tracking.wanted, wanted)
