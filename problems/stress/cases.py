@@ -24,9 +24,10 @@ from transopt.design.context import Posed
 from transopt.design.intensity import most_price
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.circuit import Circuit
-from transopt.plant.discretise import TimeGrid, discretise
+from transopt.plant.discretise import discretise
 from transopt.plant.intention import Intention
 from transopt.plant.state_space import CURRENT_INPUT, Input, StateSpace
+from transopt.plant.time_grid import TimeGrid
 from transopt.plant.wall import HandOver, Wall
 from transopt.problem.heat import Budget
 from transopt.problem.limits import needed_outputs, posed

@@ -4,8 +4,8 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from transopt.base.signals import FloatArray
-from transopt.plant.discretise import TimeGrid
 from transopt.plant.intention import FreeMotion, Intention
+from transopt.plant.time_grid import TimeGrid
 
 FINER = 4  # samples of the motion in a servo period
 

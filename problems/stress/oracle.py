@@ -12,7 +12,7 @@ from transopt.plant.discretise import AFTER
 from transopt.problem.limits.output import OutputLimit
 from transopt.problem.limits.supply import SupplyLimit
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import inside
+from transopt.proof.effect import inside
 
 MOST_STAGES = 700  # largest number of stages for the linear program
 LONGEST_S = 60.0  # time limit of the linear program

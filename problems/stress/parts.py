@@ -8,12 +8,12 @@ from problems.stress.hands import HandMotion
 from transopt.base.signals import FloatArray
 from transopt.plant.chain import Link, chain
 from transopt.plant.coil import CoilModel
-from transopt.plant.discretise import TimeGrid
 from transopt.plant.drive import drive
 from transopt.plant.hand import Hand, LinearInGrip
 from transopt.plant.intention import INTENTION_S, Yielding
 from transopt.plant.second_order import second_order
 from transopt.plant.state_space import StateSpace
+from transopt.plant.time_grid import TimeGrid
 from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.objective.rapid import rapid, rapid_filter
 from transopt.problem.objective.target import Target

@@ -12,7 +12,8 @@ from transopt.design.context import Context
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers, Solution
 from transopt.problem.leave_out import leave_out
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import binding_limits, boxes, certify
+from transopt.proof.certify import binding_limits, certify
+from transopt.proof.effect import boxes
 from transopt.proof.replay import replayed_figures
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings

@@ -5,9 +5,10 @@ import numpy as np
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.arm import MAX_CONDITION, Arm, LinkagePart, Place
-from transopt.plant.discretise import TimeGrid, discretise
+from transopt.plant.discretise import discretise
 from transopt.plant.hand import HandSection
 from transopt.plant.state_space import StateSpace
+from transopt.plant.time_grid import TimeGrid
 from transopt.problem.limits import limits_of
 from transopt.problem.limits.command import CommandLimit
 from transopt.problem.limits.current import CurrentLimit

@@ -9,11 +9,12 @@ import numpy as np
 from scipy import signal
 
 from controller.record.excitation import sweep_command
+from transopt.base.matrices import exponential
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
 from transopt.identify.device.chain import DriveChain
 from transopt.identify.measurement import Measurement
 from transopt.plant.amplifier import Amplifier
-from transopt.plant.discretise import exponential, split_delay
+from transopt.plant.discretise import split_delay
 from transopt.plant.state_space import StateSpace
 
 DT_S = 1e-4

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import integrate, signal
 
-from transopt.plant.discretise import TimeGrid
+from transopt.plant.time_grid import TimeGrid
 from transopt.references.reference import Reference
 
 FROM_Hz = 8.0

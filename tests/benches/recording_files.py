@@ -9,6 +9,7 @@ import pytest
 from scipy.io import savemat, wavfile
 
 from transopt.base.errors import InputError
+from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
 from transopt.base.signals import FloatArray
 from transopt.files.names import Layout
 from transopt.recordings.recording import Recording, load_recording
@@ -88,3 +89,22 @@ def refusal(folder: Path, content: bytes | str, suffix: str = ".csv", **options:
     file = f"{folder / 'tap'}{suffix}: "
     assert message.startswith(file)
     return message.removeprefix(file)
+
+
+def session(times_s: FloatArray, speeds_m_s: FloatArray) -> str:
+    """Time, acceleration in g and position of taps that begin at the given times."""
+    t = np.arange(round((times_s[-1] + 0.5) / DT_S)) * DT_S
+    a, z = np.full(t.size, G) + 0.05 * np.random.default_rng(2).standard_normal(t.size), np.full(t.size, 0.02)
+    for start, speed in zip(times_s, speeds_m_s, strict=True):
+        after = t - start
+        hit = (after >= 0) & (after < 4e-3)
+        a[hit] += 300 * speed * np.sin(np.pi * after[hit] / 4e-3)
+        rebound = (after >= 0.05) & (after < 0.053)
+        a[rebound] += 60 * speed * np.sin(np.pi * (after[rebound] - 0.05) / 3e-3)
+        coming, gone = (after > -0.05) & (after <= 0), (after > 0) & (after < 0.1)
+        z[coming], z[gone] = -speed * after[coming], 0.0
+    return "time [s],acc [g],pos [m]\n" + text(t, a / G, z)
+
+
+SPEEDS = np.array([0.1, 0.2, 0.4])
+STARTS = np.array([0.4, 0.9, 1.5])

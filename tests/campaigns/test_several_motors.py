@@ -8,7 +8,7 @@ import pytest
 
 from tests.benches.arms import drawn
 from transopt.problem.answer import Status
-from transopt.proof.certify import Effect
+from transopt.proof.effect import Effect
 from transopt.proof.farkas import is_infeasible
 from transopt.proof.several import replay_several
 from transopt.solvers.choose import solve_certified

@@ -18,8 +18,9 @@ from problems.stress.run import run_cases, summary
 from tests.benches.commands import Terminal, assert_refused
 from transopt.design.optimum import optimum
 from transopt.problem.answer import Certificate, Status
-from transopt.proof.certify import Effect, admissible, movement_bound, reduced_gradient
+from transopt.proof.certify import admissible, movement_bound, reduced_gradient
 from transopt.proof.designed import Designed
+from transopt.proof.effect import Effect
 from transopt.solvers.choose import prove
 from transopt.solvers.options import SolverOptions
 

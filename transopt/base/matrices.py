@@ -1,4 +1,4 @@
-"""Exponential and balancing of small dense matrices: loading scipy.linalg takes longer than solving twelve taps."""
+"""Exponential, powers and balancing of small matrices: loading scipy.linalg takes longer than solving twelve taps."""
 
 import math
 
@@ -57,3 +57,26 @@ def expm(matrix: FloatArray) -> FloatArray:
     for _ in range(squarings):
         found = found @ found
     return np.asarray(found)
+
+
+def exponential(matrix: FloatArray) -> FloatArray:
+    """Matrix exponential (n, n) after balancing the states by powers of two, which makes it independent of units.
+
+    Elongations and velocities in SI differ by many orders of magnitude; without balancing, the rounding errors of the
+    large entries would exceed the small entries.
+    """
+    even, scale = balanced(matrix)
+    return np.asarray(expm(even) * scale[:, None] / scale)
+
+
+def powers(A: FloatArray, last: int) -> FloatArray:
+    """((last + 1) n, n) powers A^0 to A^last one below the other, by doubling."""
+    n, known = A.shape[0], 2
+    found = np.empty(((max(last, 1) + 1) * n, n), dtype=A.dtype)
+    found[: 2 * n] = np.concatenate([np.eye(n), A])
+    while known <= last:
+        more = min(known - 1, last + 1 - known)
+        highest, into = found[(known - 1) * n : known * n], found[known * n : (known + more) * n]
+        np.matmul(found[n : (1 + more) * n], highest, out=into)
+        known += more
+    return found[: (last + 1) * n]

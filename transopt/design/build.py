@@ -29,7 +29,7 @@ from transopt.library.multipliers import ARRAYS, further_arrays, multiplier_arra
 from transopt.library.posed import PLANT
 from transopt.plant.state_space import POSITION, VELOCITY
 from transopt.problem.objective.target import along_normal
-from transopt.proof.certify import effects
+from transopt.proof.effect import effects
 from transopt.recordings.recording import Recording
 from transopt.references.reference import COURSES, Reference
 from transopt.references.references import References

@@ -27,8 +27,8 @@ from transopt.problem.objective.figures import Figures
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.admit import admit
-from transopt.proof.certify import Box, boxes
 from transopt.proof.designed import Attained, Designed
+from transopt.proof.effect import Box, boxes
 from transopt.proof.replay import Replay
 from transopt.solvers import unlimited
 from transopt.solvers.options import SolverOptions

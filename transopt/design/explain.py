@@ -15,7 +15,8 @@ from transopt.base.signals import FloatArray
 from transopt.problem.answer import Multipliers, Status
 from transopt.problem.limits.limit import Limit
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import Box, boxes, certify
+from transopt.proof.certify import certify
+from transopt.proof.effect import Box, boxes
 from transopt.solvers import unlimited
 from transopt.solvers.choose import capable, solve
 from transopt.solvers.options import SolverOptions

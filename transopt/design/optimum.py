@@ -16,8 +16,9 @@ from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.problem.wall_ticks import encoder_course, pressing, pressing_under, silence
 from transopt.proof.admit import stated_wall, unstable_wall
-from transopt.proof.certify import Effect, certify, effects, gradient_rounding, inside
+from transopt.proof.certify import certify, gradient_rounding
 from transopt.proof.designed import Designed
+from transopt.proof.effect import Effect, effects, inside
 from transopt.solvers import unlimited
 from transopt.solvers.choose import prove, prove_all, solve, solve_certified
 from transopt.solvers.options import SolverOptions

@@ -18,7 +18,7 @@ from transopt.problem.leave_out import leave_out
 from transopt.problem.limits.limit import Limit
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import Effect, boxes_of, inside
+from transopt.proof.effect import Effect, boxes_of, inside
 from transopt.solvers.choose import Certified, solve_certified
 from transopt.solvers.options import SolverOptions, TrialOptions
 from transopt.solvers.prove import certificates

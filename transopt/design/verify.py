@@ -17,7 +17,7 @@ from transopt.problem.answer import Certificate, Multipliers, Status
 from transopt.problem.limits.limit import tolerated
 from transopt.problem.problem import TransientProblem
 from transopt.proof.admit import admit
-from transopt.proof.certify import Effect
+from transopt.proof.effect import Effect
 from transopt.solvers import unlimited
 from transopt.solvers.choose import prove, prove_all
 from transopt.solvers.options import SolverOptions

@@ -13,8 +13,8 @@ import numpy as np
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers
 from transopt.problem.limits.output import MOST_KEPT, PARTS, OutputLimit
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import Effect
 from transopt.proof.designed import Designed
+from transopt.proof.effect import Effect
 
 MOST_COST = 5e-3  # largest cost of the margins, relative to J without them
 AIM = 3e-3  # relative cost aimed at when instants are added, and the largest one once there are any

@@ -15,8 +15,9 @@ from transopt.problem.objective.figures import Figures
 from transopt.problem.objective.target import Target
 from transopt.problem.objective.tracking import filter_together
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import Effect, binding_limits, certify, effects
+from transopt.proof.certify import binding_limits, certify
 from transopt.proof.designed import Designed
+from transopt.proof.effect import Effect, effects
 from transopt.proof.nonlinear import NonlinearEffect, certify_nonlinear
 
 NAN = float("nan")

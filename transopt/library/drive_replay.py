@@ -21,8 +21,9 @@ from transopt.base.signals import FloatArray
 from transopt.library.drive import Drive, Driver
 from transopt.library.library import Library
 from transopt.library.trade import TradeFigures, entry_trade
-from transopt.plant.discretise import StageModel, TimeGrid, discretise
+from transopt.plant.discretise import StageModel, discretise
 from transopt.plant.nonlinear_stage import resolved
+from transopt.plant.time_grid import TimeGrid
 from transopt.problem.limits import posed
 from transopt.problem.limits.limit import Limit, Limits, Setting
 from transopt.problem.limits.slew import SlewLimit

@@ -11,9 +11,10 @@ from transopt.library.held import Held
 from transopt.problem.answer import Multipliers
 from transopt.problem.limits import KINDS, OF_OUTPUTS, kinds_for
 from transopt.problem.limits.input import SHARES
-from transopt.problem.limits.limit import SIDES, device_row, motor_row
+from transopt.problem.limits.limit import SIDES
 from transopt.problem.limits.output import row_within
 from transopt.problem.limits.own import OwnLimit, follows_motion
+from transopt.problem.limits.row import device_row, motor_row
 from transopt.problem.posing import Posing
 
 

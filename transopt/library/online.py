@@ -31,7 +31,8 @@ from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.posing import Posing
 from transopt.problem.problem import TransientProblem
 from transopt.problem.wall_ticks import pressing, pressing_under
-from transopt.proof.certify import BINDING_MULTIPLIER, TEMPERATURE, Effect, certify, inside, relaxed_bound
+from transopt.proof.certify import BINDING_MULTIPLIER, certify, relaxed_bound
+from transopt.proof.effect import TEMPERATURE, Effect, inside
 from transopt.solvers.native.extension import (
     ACCURACY,
     MOST_STATES,

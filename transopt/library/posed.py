@@ -16,8 +16,9 @@ from transopt.library.multipliers import row_of
 from transopt.library.place import interpolation_weights, speed_weights
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel
-from transopt.plant.discretise import StageModel, TimeGrid
+from transopt.plant.discretise import StageModel
 from transopt.plant.state_space import Input, Output, StateSpace
+from transopt.plant.time_grid import TimeGrid
 from transopt.plant.wall import Wall
 from transopt.problem.answer import Multipliers
 from transopt.problem.limits import OF_OUTPUTS

@@ -31,7 +31,8 @@ from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers, S
 from transopt.problem.limits.limit import VIOLATION_TOLERANCE, tolerated
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import Effect, certify, relaxed_bound
+from transopt.proof.certify import certify, relaxed_bound
+from transopt.proof.effect import Effect
 from transopt.solvers.native.extension import (
     ACCURACY,
     SOLVED,

@@ -16,7 +16,7 @@ from transopt.library.derived import derived, places
 from transopt.library.library import Library
 from transopt.library.meta import heat_is_in
 from transopt.library.posed import PLANT
-from transopt.plant.discretise import TimeGrid
+from transopt.plant.time_grid import TimeGrid
 from transopt.proof.certify import BINDING_MULTIPLIER
 
 SAME = 1e-6  # relative difference allowed between a statement and its value by the scene

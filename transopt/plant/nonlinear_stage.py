@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 
 from transopt.base.arithmetic import NUMBERS, NUMPY, Functions
+from transopt.base.matrices import exponential
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
-from transopt.plant.discretise import AFTER, Motion, exponential
+from transopt.plant.discretise import AFTER, Motion
 from transopt.plant.nonlinear import NonlinearCoil
 from transopt.plant.state_space import VELOCITY
 

@@ -16,7 +16,7 @@ from transopt.base.errors import InputError
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray, integral
 from transopt.plant.amplifier import Amplifier, prefilter, prefilter_coefficients
-from transopt.plant.discretise import TimeGrid
+from transopt.plant.time_grid import TimeGrid
 
 MAX_FEEDBACK_A = 1e100  # clips the current of an unstable wall, so that squares of its motion do not overflow
 

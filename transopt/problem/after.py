@@ -17,7 +17,8 @@ import scipy
 
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import prefilter_coefficients
-from transopt.plant.discretise import Motion, StageModel, TimeGrid
+from transopt.plant.discretise import Motion, StageModel
+from transopt.plant.time_grid import TimeGrid
 from transopt.plant.wall import HandOver, earlier_by, feedback_command, feedback_command_transpose
 
 

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from transopt.base.signals import FloatArray, fast_length, splined
 from transopt.plant.amplifier import prefilter
-from transopt.plant.discretise import StageModel, TimeGrid
+from transopt.plant.discretise import StageModel
+from transopt.plant.time_grid import TimeGrid
 from transopt.problem.problem import TransientProblem
 
 PADDING = 2  # the record is zero-padded to this multiple of its length

@@ -13,7 +13,7 @@ from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, CoilModel
-from transopt.plant.discretise import TimeGrid
+from transopt.plant.time_grid import TimeGrid
 
 # Margin below the limit, as a share of the largest rise, where taps repeat for ever. The recursion neglects the heat
 # of a current that changes its sign within a servo period, and the steady state sums that up over all taps.

@@ -13,9 +13,10 @@ from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.circuit import Circuit
 from transopt.plant.coil import CoilModel
-from transopt.plant.discretise import StageModel, TimeGrid, discretise
+from transopt.plant.discretise import StageModel, discretise
 from transopt.plant.intention import INTENTION_S
 from transopt.plant.state_space import CURRENT_INPUT, Input, StateSpace
+from transopt.plant.time_grid import TimeGrid
 from transopt.plant.wall import HandOver, Wall
 from transopt.problem.heat import Budget
 from transopt.problem.limits import needed_outputs, posed

@@ -9,13 +9,15 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
-from transopt.plant.discretise import Motion, StageModel, TimeGrid
+from transopt.plant.discretise import Motion, StageModel
 from transopt.plant.intention import INTENTION_S
 from transopt.plant.state_space import Input
+from transopt.plant.time_grid import TimeGrid
 from transopt.plant.wall import HandOver, feedback_command
 from transopt.problem.after import Feedback
-from transopt.problem.limits.limit import Limit, Limits, Row
+from transopt.problem.limits.limit import Limit, Limits
 from transopt.problem.limits.output import OutputLimit
+from transopt.problem.limits.row import Row
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.objective.figures import Figures, Yardstick

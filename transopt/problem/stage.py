@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import StageModel, state_scale
-from transopt.problem.limits.limit import COMMAND, HELD, INPUT, VELOCITY, Row
+from transopt.problem.limits.row import COMMAND, HELD, INPUT, VELOCITY, Row
 from transopt.problem.objective.weighting import ErrorFilter
 from transopt.problem.problem import TransientProblem
 

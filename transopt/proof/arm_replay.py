@@ -16,7 +16,7 @@ from scipy.integrate import DOP853
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.arm import Arm, Place
-from transopt.plant.discretise import TimeGrid
+from transopt.plant.time_grid import TimeGrid
 
 RELATIVE, ABSOLUTE = 1e-9, 1e-12  # tolerances of the integrator; states are in m, rad and their rates
 

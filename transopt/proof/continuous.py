@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from transopt.base.matrices import balanced
 from transopt.base.recursions import LinearSystem
 from transopt.base.signals import FloatArray
-from transopt.plant.discretise import StageModel, TimeGrid, split_delay
+from transopt.plant.discretise import StageModel, split_delay
+from transopt.plant.time_grid import TimeGrid
 from transopt.plant.wall import FeedbackLoop, HandOver
 
 SAMPLES_PER_PERIOD = 8  # samples of the trajectory per servo period

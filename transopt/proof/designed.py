@@ -7,7 +7,7 @@ from transopt.base.signals import FloatArray
 from transopt.problem.answer import Certificate, Solution, Status
 from transopt.problem.nonlinear import NonlinearProblem
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import Effect
+from transopt.proof.effect import Effect
 
 TOLERANCE_dB = 0.01  # accepted error of the energy, below a hundredth of the just noticeable difference
 

@@ -8,7 +8,8 @@ from transopt.base.signals import FloatArray
 from transopt.problem.answer import Multipliers
 from transopt.problem.limits import hand_over
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import TEMPERATURE, Effect, admissible, boxes_of, kink_gap, reduced_gradient
+from transopt.proof.certify import admissible, kink_gap, reduced_gradient
+from transopt.proof.effect import TEMPERATURE, Effect, boxes_of
 
 MARGIN = 1e-9  # of the sum of the terms' absolute values, 1e5 times its rounding error
 

@@ -15,9 +15,10 @@ from transopt.base.signals import FloatArray
 from transopt.plant.discretise import Motion
 from transopt.plant.nonlinear_stage import Linearised
 from transopt.problem.answer import Certificate, Multipliers
-from transopt.problem.limits.limit import transposed
+from transopt.problem.limits.row import transposed
 from transopt.problem.nonlinear import NonlinearProblem
-from transopt.proof.certify import Effect, boxes, is_stated, left_over
+from transopt.proof.certify import is_stated, left_over
+from transopt.proof.effect import Effect, boxes
 
 
 class NonlinearEffect(Effect):

@@ -15,9 +15,10 @@ from scipy.integrate import solve_ivp
 
 from transopt.base.arithmetic import NUMPY
 from transopt.base.signals import FloatArray
-from transopt.plant.discretise import StageModel, TimeGrid
+from transopt.plant.discretise import StageModel
 from transopt.plant.nonlinear_stage import NonlinearStage
 from transopt.plant.state_space import VELOCITY
+from transopt.plant.time_grid import TimeGrid
 from transopt.problem.limits.limit import Limits
 from transopt.problem.nonlinear import NonlinearProblem
 from transopt.problem.objective.figures import Yardstick

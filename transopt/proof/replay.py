@@ -14,10 +14,12 @@ from transopt.base.signals import FloatArray
 from transopt.base.threads import one_blas_thread
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel, effective_square, following_square_mean
-from transopt.plant.discretise import Motion, StageModel, TimeGrid
+from transopt.plant.discretise import Motion, StageModel
+from transopt.plant.time_grid import TimeGrid
 from transopt.plant.wall import HandOver
 from transopt.problem.heat import Budget
-from transopt.problem.limits.limit import COMMAND, INPUT, Limit, Limits, tolerated
+from transopt.problem.limits.limit import Limit, Limits, tolerated
+from transopt.problem.limits.row import COMMAND, INPUT
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.figures import Figures, Yardstick
 from transopt.problem.objective.target import Target

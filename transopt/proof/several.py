@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from transopt.base.signals import FloatArray
 from transopt.base.threads import one_blas_thread
-from transopt.plant.discretise import Motion, StageModel, TimeGrid
+from transopt.plant.discretise import Motion, StageModel
 from transopt.plant.state_space import StateSpace
+from transopt.plant.time_grid import TimeGrid
 from transopt.problem.limits.limit import Limits
 from transopt.problem.problem import TransientProblem
 from transopt.proof.continuous import accurate, fine, peak_scale

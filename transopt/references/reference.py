@@ -16,7 +16,7 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray, Signal, fast_length, integral, nrmse, splined
-from transopt.plant.discretise import TimeGrid
+from transopt.plant.time_grid import TimeGrid
 from transopt.problem.objective.target import Target, along_normal
 from transopt.recordings.tap import PreparedTap
 

@@ -15,7 +15,7 @@ from transopt.base.errors import InputError
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.base.threads import one_blas_thread
-from transopt.plant.discretise import TimeGrid
+from transopt.plant.time_grid import TimeGrid
 from transopt.recordings.recording import Recording
 from transopt.recordings.settings import Recordings
 from transopt.recordings.tap import PreparedTap, check_usable, prepare_all

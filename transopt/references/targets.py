@@ -21,7 +21,7 @@ from transopt.base.errors import InputError
 from transopt.base.filters import lowpass
 from transopt.base.section import Finite, Name, NonNegative, Positive, Section, Words
 from transopt.base.signals import FloatArray, Signal
-from transopt.plant.discretise import TimeGrid
+from transopt.plant.time_grid import TimeGrid
 from transopt.recordings.recording import load_recording
 from transopt.recordings.settings import Recordings
 from transopt.references.reference import Reference

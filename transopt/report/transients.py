@@ -21,11 +21,12 @@ from transopt.base.axes import Axes
 from transopt.base.plotting import DARK, LABEL_PT, SMALL_PT, Drawing, colours, leave_room, style
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.library.library import Library
-from transopt.plant.discretise import TimeGrid
 from transopt.plant.state_space import Input
+from transopt.plant.time_grid import TimeGrid
 from transopt.problem.answer import Status
 from transopt.problem.baselines import input_bounds
-from transopt.problem.limits.limit import SIDES, motor_row
+from transopt.problem.limits.limit import SIDES
+from transopt.problem.limits.row import motor_row
 from transopt.proof.certify import BINDING_MULTIPLIER, BINDING_SLACK
 
 if TYPE_CHECKING:  # a library that draws itself does not load the designer

@@ -8,7 +8,8 @@ from transopt.base.files import ctrl_c_waits, staging_folder
 from transopt.base.terminal import make_folder
 from transopt.base.writing import write_text
 from transopt.design.build import Build
-from transopt.report.markdown import build_json, build_markdown
+from transopt.report.markdown import build_markdown
+from transopt.report.report_json import build_json
 
 Files = Mapping[str, Callable[[Path], object]]  # file name -> function that writes this file to a path
 

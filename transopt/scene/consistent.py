@@ -7,11 +7,11 @@ from transopt.base.errors import InputError
 from transopt.base.sizes import LONGEST_LEAD_S, MOST_AFTER, MOST_COMMANDS
 from transopt.base.writing import rounded_down
 from transopt.plant.arm import Arm
-from transopt.plant.discretise import samples_after
 from transopt.plant.drive import Drive
 from transopt.plant.fourth_order import FourthOrder
 from transopt.plant.kind import PlantKind
 from transopt.plant.moving_coil import MovingCoil
+from transopt.plant.time_grid import samples_after
 from transopt.problem.limits import kinds_of
 from transopt.recordings.axes import ALL
 from transopt.scene.identified import IdentifiedModel

@@ -20,7 +20,6 @@ from transopt.plant.arm import Arm
 from transopt.plant.bridge import Bridge
 from transopt.plant.circuit import Circuit
 from transopt.plant.coil import PWM_RIPPLE_A, CoilModel
-from transopt.plant.discretise import TimeGrid, samples_after
 from transopt.plant.drive import Drive
 from transopt.plant.fourth_order import FourthOrder
 from transopt.plant.hand import HandSection
@@ -31,6 +30,7 @@ from transopt.plant.motor import Motor, Tip, Transmission, Winding, at_the_tip
 from transopt.plant.moving_coil import MovingCoil
 from transopt.plant.nonlinear import NonlinearCoil
 from transopt.plant.state_space import Input, StateSpace
+from transopt.plant.time_grid import TimeGrid, samples_after
 from transopt.plant.wall import Wall
 from transopt.problem.heat import Budget
 from transopt.problem.limits.input import SHARES as MOTOR_SHARES

@@ -21,10 +21,10 @@ from transopt.base.sizes import (
     SHORTEST_DT_S,
 )
 from transopt.plant.bridge import FASTEST_SWITCHING_HZ, SLOWEST_SWITCHING_HZ
-from transopt.plant.discretise import DELAY_ROUNDING
 from transopt.plant.intention import INTENTION_S, Intention, Yielding
 from transopt.plant.kinds import Model
 from transopt.plant.motor import Tip
+from transopt.plant.time_grid import DELAY_ROUNDING
 from transopt.scene.population import Population
 
 

@@ -14,7 +14,7 @@ from transopt.base.threads import one_blas_thread
 from transopt.problem.answer import Certificate, Multipliers, Solution, Status
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import Effect, effects
+from transopt.proof.effect import Effect, effects
 from transopt.solvers import riccati
 from transopt.solvers.options import SolverOptions, default_solver, most_time_s
 from transopt.solvers.prove import certificates, certified

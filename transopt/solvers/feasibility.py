@@ -18,7 +18,7 @@ import scipy
 
 from transopt.base import apart
 from transopt.base.signals import FloatArray
-from transopt.problem.limits.limit import Row
+from transopt.problem.limits.row import Row
 from transopt.problem.problem import TransientProblem
 from transopt.solvers.program import state_program
 from transopt.solvers.sparse_kkt import pattern

@@ -24,7 +24,8 @@ from transopt.base.signals import FloatArray
 from transopt.plant.discretise import AFTER, state_scale
 from transopt.plant.nonlinear_stage import NonlinearStage, resolved
 from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, Pair, Solution, Status
-from transopt.problem.limits.limit import COMMAND, HELD, INPUT, Limit, Row
+from transopt.problem.limits.limit import Limit
+from transopt.problem.limits.row import COMMAND, HELD, INPUT, Row
 from transopt.problem.nonlinear import NonlinearProblem
 from transopt.problem.objective.weighting import ErrorFilter
 from transopt.proof.nonlinear import NonlinearEffect, with_hand_over

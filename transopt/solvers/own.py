@@ -24,7 +24,7 @@ from transopt.base.signals import FloatArray
 from transopt.plant.discretise import AFTER
 from transopt.plant.state_space import CURRENT_INPUT, VOLTAGE_INPUT
 from transopt.problem.limits import KINDS
-from transopt.problem.limits.limit import COMMAND, HELD, VELOCITY
+from transopt.problem.limits.row import COMMAND, HELD, VELOCITY
 
 CURVED = 1e-12  # curvatures below this share of the largest one are rounding
 TAKEN = {row for kind in KINDS for row in kind.row_names} | {"end"}

@@ -14,7 +14,8 @@ from transopt.base.signals import FloatArray
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import TEMPERATURE, Effect, certify, is_stated, left_over
+from transopt.proof.certify import certify, is_stated, left_over
+from transopt.proof.effect import TEMPERATURE, Effect
 from transopt.solvers.native.extension import Judged, Proof, available, prove, takes
 from transopt.solvers.stage_data import Stages, stages_of
 

@@ -9,7 +9,7 @@ from transopt.problem.limits.own import LawRow
 from transopt.problem.objective.tail import tail
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import Layout, layout, linear_stage
-from transopt.solvers.stage_data import stated_rows
+from transopt.solvers.stated_rows import stated_rows
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from transopt.problem.stage import linear_stage
 from transopt.proof.certify import certify
 from transopt.solvers.program import state_program
 from transopt.solvers.shape import Shape
-from transopt.solvers.stage_data import stated_rows
+from transopt.solvers.stated_rows import stated_rows
 from transopt.solvers.statement import state
 
 REFINEMENTS = 2

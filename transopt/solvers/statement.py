@@ -8,24 +8,16 @@ import numpy as np
 from transopt.base.signals import FloatArray
 from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers
 from transopt.problem.limits import hand_over
-from transopt.problem.limits.limit import COMMAND, INPUT, Limit
+from transopt.problem.limits.limit import Limit
 from transopt.problem.limits.own import LawRow
+from transopt.problem.limits.row import COMMAND, INPUT
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import LinearStage, linear_stage
 from transopt.solvers.bounds import check_bounds
 from transopt.solvers.program import nonzeros, state_program
 from transopt.solvers.shape import Shape, program_shape
-from transopt.solvers.stage_data import (
-    SIZE_BOUND,
-    StatedRow,
-    ended,
-    heat_values,
-    held,
-    kelvin,
-    slope_of,
-    stated_rows,
-    tracking_values,
-)
+from transopt.solvers.stage_data import ended, heat_values, held, slope_of, tracking_values
+from transopt.solvers.stated_rows import SIZE_BOUND, StatedRow, kelvin, stated_rows
 
 
 @dataclass(frozen=True)

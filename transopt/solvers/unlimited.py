@@ -14,7 +14,8 @@ from transopt.base import apart
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers, Solution, Status
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import layout
-from transopt.proof.certify import Effect, certify, movement_bound, reduced_gradient
+from transopt.proof.certify import certify, movement_bound, reduced_gradient
+from transopt.proof.effect import Effect
 from transopt.solvers import stage_data
 from transopt.solvers.native import extension
 from transopt.solvers.options import most_time_s

@@ -12,7 +12,7 @@ from transopt.design.entry import Entry
 from transopt.problem.answer import Status
 from transopt.problem.limits import KINDS
 from transopt.problem.limits.supply import SupplyLimit
-from transopt.proof.certify import boxes_of
+from transopt.proof.effect import boxes_of
 from transopt.study.axes import label
 
 REFUSED = "REFUSED"  # status beside those of `Status`: the scene itself is invalid

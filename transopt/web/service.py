@@ -26,7 +26,8 @@ from transopt.design.scene_entry import SceneEntry
 from transopt.library.library import Library
 from transopt.library.recorded import references_of_library
 from transopt.plant.coil import CoilModel
-from transopt.plant.discretise import StageModel, TimeGrid
+from transopt.plant.discretise import StageModel
+from transopt.plant.time_grid import TimeGrid
 from transopt.problem.warm_coil import WarmCoil
 from transopt.recordings.recording import Recording
 from transopt.references.reference import Reference

@@ -8,8 +8,7 @@ import pytest
 
 import problems
 from tests.benches.commands import Run, assert_refused
-from tests.benches.recording_files import text, wav
-from tests.transopt.recordings.test_as_they_are import SPEEDS, STARTS, session
+from tests.benches.recording_files import SPEEDS, STARTS, session, text, wav
 from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
 from transopt.files.names import Layout
 from transopt.identify.measurement import load_measurements, split_taps

@@ -21,7 +21,8 @@ from transopt.library.proven import load_proven
 from transopt.problem.answer import Status
 from transopt.report.comparison import Comparison
 from transopt.report.figures import bode_figure
-from transopt.report.markdown import build_json, build_markdown
+from transopt.report.markdown import build_markdown
+from transopt.report.report_json import build_json
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 

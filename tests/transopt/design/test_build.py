@@ -29,8 +29,9 @@ from transopt.problem.objective.figures import Figures
 from transopt.problem.objective.weighting import pacinian
 from transopt.problem.problem import TransientProblem
 from transopt.proof.admit import admit
-from transopt.proof.certify import Effect, certify
+from transopt.proof.certify import certify
 from transopt.proof.designed import Designed
+from transopt.proof.effect import Effect
 from transopt.proof.replay import Replay
 from transopt.recordings.recording import Recording
 from transopt.recordings.tap import read_recordings

@@ -19,7 +19,8 @@ from transopt.library.library import Library
 from transopt.recordings.recording import Recording
 from transopt.references.reference import Reference
 from transopt.references.references import References
-from transopt.report.markdown import build_json, build_markdown
+from transopt.report.markdown import build_markdown
+from transopt.report.report_json import build_json
 from transopt.report.tables import refinement_summary
 from transopt.scene.keys import with_values
 from transopt.scene.recordings import references_of

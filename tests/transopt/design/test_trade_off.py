@@ -9,7 +9,8 @@ import pytest
 from transopt.design.build import Build, build_library
 from transopt.recordings.recording import Recording
 from transopt.report.figures import trade_off_figure
-from transopt.report.markdown import build_json, build_markdown
+from transopt.report.markdown import build_markdown
+from transopt.report.report_json import build_json
 from transopt.report.write import write_report
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene

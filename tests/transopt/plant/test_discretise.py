@@ -7,12 +7,14 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from tests.conftest import ProblemMaker
+from transopt.base.matrices import powers
 from transopt.base.signals import FloatArray, nrmse
 from transopt.design.build import build_library
 from transopt.design.verify import verify_library
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.chain import Link, chain
-from transopt.plant.discretise import Motion, TimeGrid, discretise, powers, state_scale
+from transopt.plant.discretise import Motion, discretise, state_scale
+from transopt.plant.time_grid import TimeGrid
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.continuous import accurate, fine

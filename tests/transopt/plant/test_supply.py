@@ -20,8 +20,9 @@ from transopt.problem.answer import Status
 from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import binding_limits, certify, inside
+from transopt.proof.certify import binding_limits, certify
 from transopt.proof.designed import Designed
+from transopt.proof.effect import inside
 from transopt.references.reference import Reference
 from transopt.scene.scene import Scene
 from transopt.solvers.choose import solve

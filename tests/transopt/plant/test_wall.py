@@ -18,8 +18,9 @@ from transopt.problem.limits import hand_over
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import linear_stage
 from transopt.problem.wall_ticks import pressing
-from transopt.proof.certify import Effect, certify, reduced_gradient
+from transopt.proof.certify import certify, reduced_gradient
 from transopt.proof.designed import Designed
+from transopt.proof.effect import Effect
 from transopt.proof.replay import replay
 from transopt.references.reference import Reference
 from transopt.scene.scene import Scene

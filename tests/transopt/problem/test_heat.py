@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel
-from transopt.plant.discretise import TimeGrid
+from transopt.plant.time_grid import TimeGrid
 from transopt.problem.heat import Budget, HeatModel, heating
 from transopt.problem.limits.temperature import temperature_limit
 from transopt.scene.scene import Scene

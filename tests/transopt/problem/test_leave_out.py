@@ -17,7 +17,8 @@ from transopt.problem.leave_out import leave_out, without_position
 from transopt.problem.limits.temperature import temperature_limit
 from transopt.problem.problem import TransientProblem
 from transopt.problem.wall_ticks import pressing
-from transopt.proof.certify import certify, inside
+from transopt.proof.certify import certify
+from transopt.proof.effect import inside
 from transopt.proof.replay import replay
 from transopt.references.reference import Reference
 from transopt.scene.scene import Scene

@@ -7,7 +7,8 @@ from tests.benches.arms import phantom
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.arm import Arm, Place
-from transopt.plant.discretise import TimeGrid, discretise
+from transopt.plant.discretise import discretise
+from transopt.plant.time_grid import TimeGrid
 from transopt.proof.arm_replay import ArmMotion, replay_on_arm
 
 GRID = TimeGrid(1e-4, 40, 3e-4, 68e-6, 10)

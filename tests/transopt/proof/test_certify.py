@@ -14,7 +14,8 @@ from transopt.problem.limits import KINDS
 from transopt.problem.limits.limit import SIDES
 from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import Effect, binding_limits, certify, effects, movement_bound, reduced_gradient
+from transopt.proof.certify import binding_limits, certify, movement_bound, reduced_gradient
+from transopt.proof.effect import Effect, effects
 from transopt.solvers import unlimited
 from transopt.solvers.choose import check_name, solve
 from transopt.solvers.options import SolverOptions

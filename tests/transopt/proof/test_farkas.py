@@ -11,7 +11,8 @@ from tests.benches.limits import drawn_ray, with_limit
 from tests.conftest import ProblemMaker
 from transopt.problem.answer import Multipliers
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import Effect, certify, inside, reduced_gradient
+from transopt.proof.certify import certify, reduced_gradient
+from transopt.proof.effect import Effect, inside
 from transopt.proof.farkas import is_infeasible
 from transopt.solvers.choose import capable, solve
 from transopt.solvers.options import SolverOptions

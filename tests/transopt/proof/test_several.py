@@ -7,7 +7,7 @@ import pytest
 
 from tests.benches.arms import drawn, drawn_chain, posed
 from tests.benches.dense_motors import impulse
-from transopt.proof.certify import Effect
+from transopt.proof.effect import Effect
 from transopt.proof.several import replay_several
 from transopt.solvers.choose import solve
 from transopt.solvers.options import SolverOptions

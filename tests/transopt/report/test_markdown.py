@@ -9,7 +9,8 @@ import pytest
 import problems
 from transopt.base.writing import percent
 from transopt.design.build import Build, build_library
-from transopt.report.markdown import build_json, build_markdown
+from transopt.report.markdown import build_markdown
+from transopt.report.report_json import build_json
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 

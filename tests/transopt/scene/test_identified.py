@@ -42,7 +42,8 @@ from transopt.plant.fourth_order import fourth_order
 from transopt.plant.second_order import second_order
 from transopt.recordings.recording import Recording
 from transopt.report.identified import below_the_model, model_warning
-from transopt.report.markdown import build_json, build_markdown
+from transopt.report.markdown import build_markdown
+from transopt.report.report_json import build_json
 from transopt.scene.file import with_model
 from transopt.scene.identified import IdentifiedModel
 from transopt.scene.keys import find_key, keys, with_values

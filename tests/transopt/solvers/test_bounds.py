@@ -10,7 +10,8 @@ from problems.stress.parts import Coil, Current, Demand, Horizon
 from transopt.design.optimum import optimum
 from transopt.problem.answer import Certificate
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import Effect, relaxed_bound
+from transopt.proof.certify import relaxed_bound
+from transopt.proof.effect import Effect
 from transopt.solvers.choose import global_bound
 from transopt.solvers.options import SolverOptions
 

@@ -16,7 +16,8 @@ from transopt.plant.discretise import discretise
 from transopt.plant.state_space import StateSpace
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import TEMPERATURE, certify
+from transopt.proof.certify import certify
+from transopt.proof.effect import TEMPERATURE
 from transopt.solvers import prove
 from transopt.solvers.choose import solve
 from transopt.solvers.native import extension

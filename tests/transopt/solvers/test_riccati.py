@@ -31,7 +31,8 @@ from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import layout, linear_stage
 from transopt.problem.wall_ticks import pressing
-from transopt.proof.certify import Effect, certify
+from transopt.proof.certify import certify
+from transopt.proof.effect import Effect
 from transopt.proof.farkas import is_infeasible
 from transopt.report.markdown import build_markdown
 from transopt.scene.recordings import recordings_of

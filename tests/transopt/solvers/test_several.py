@@ -22,7 +22,8 @@ from transopt.problem.limits.slew import SlewLimit
 from transopt.problem.limits.supply import CopperEnd, SupplyLimit
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import layout, linear_stage
-from transopt.proof.certify import Effect, binding_limits, certify, reduced_gradient
+from transopt.proof.certify import binding_limits, certify, reduced_gradient
+from transopt.proof.effect import Effect
 from transopt.proof.farkas import is_infeasible
 from transopt.solvers import modes, riccati, unlimited
 from transopt.solvers.choose import solve, solve_all, solve_certified

@@ -25,7 +25,8 @@ from transopt.problem.limits.temperature import temperature_limit
 from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import Effect, certify, inside, relaxed_bound
+from transopt.proof.certify import certify, relaxed_bound
+from transopt.proof.effect import Effect, inside
 from transopt.recordings.recording import Recording
 from transopt.references.reference import Reference
 from transopt.scene.scene import Scene

@@ -14,8 +14,9 @@ from transopt.base.signals import FloatArray
 from transopt.plant.circuit import Circuit
 from transopt.plant.state_space import CURRENT_INPUT, VOLTAGE_INPUT
 from transopt.problem.limits.input import InputLimit
-from transopt.problem.limits.limit import COMMAND, HELD, INPUT, VELOCITY, Limit, Posed, Row, Setting, positive
+from transopt.problem.limits.limit import Limit, Posed, Setting, positive
 from transopt.problem.limits.output import MOST_KEPT, OutputLimit, largest_of
+from transopt.problem.limits.row import COMMAND, HELD, INPUT, VELOCITY, Row
 
 BEFORE = "current_before"  # row of the current just before a switching instant; a library lists it among its limits
 

@@ -8,8 +8,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Final, Self
 
 from transopt.base.errors import InputError
-from transopt.plant.discretise import TimeGrid
-from transopt.problem.limits.limit import COMMAND, INPUT, Limit, Posed, Row, Setting, of_motors, positive
+from transopt.plant.time_grid import TimeGrid
+from transopt.problem.limits.limit import Limit, Posed, Setting, of_motors, positive
+from transopt.problem.limits.row import COMMAND, INPUT, Row
 
 SHARES: Final = "motor_shares"  # scene key of each motor's share of the limit
 

@@ -24,9 +24,11 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from transopt.base.matrices import exponential
 from transopt.base.signals import FloatArray
-from transopt.plant.discretise import AFTER, StageModel, exponential, within
-from transopt.problem.limits.limit import Limit, Posed, Row, Setting, positive
+from transopt.plant.discretise import AFTER, StageModel, within
+from transopt.problem.limits.limit import Limit, Posed, Setting, positive
+from transopt.problem.limits.row import Row
 
 MOST_KEPT = 0.05  # largest margin as a share of the limit
 LAGS = (2, 3, 6)  # numbers of preceding samples in the least-squares fits of the excursion (`_bends_of`)

@@ -15,7 +15,8 @@ from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import AFTER, Motion
 from transopt.plant.state_space import Input
-from transopt.problem.limits.limit import COMMAND, HELD, INPUT, Limit, Posed, Row, Setting, output_values
+from transopt.problem.limits.limit import Limit, Posed, Setting
+from transopt.problem.limits.row import COMMAND, HELD, INPUT, Row, output_values
 
 OF_EVERY_STAGE = (COMMAND, HELD)
 

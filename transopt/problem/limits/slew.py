@@ -4,9 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
-from transopt.plant.discretise import TimeGrid
 from transopt.plant.state_space import CURRENT_INPUT, VOLTAGE_INPUT
-from transopt.problem.limits.limit import COMMAND, HELD, Limit, Posed, Row, Setting, of_motors, positive
+from transopt.plant.time_grid import TimeGrid
+from transopt.problem.limits.limit import Limit, Posed, Setting, of_motors, positive
+from transopt.problem.limits.row import COMMAND, HELD, Row
 
 
 @dataclass(frozen=True, repr=False)

@@ -20,7 +20,8 @@ from transopt.plant.circuit import Circuit
 from transopt.plant.coil import CoilModel
 from transopt.plant.state_space import CURRENT_INPUT
 from transopt.problem.heat import Budget, winding_limit_C
-from transopt.problem.limits.limit import COMMAND, HELD, INPUT, VELOCITY, Limit, Posed, Row, Setting, positive
+from transopt.problem.limits.limit import Limit, Posed, Setting, positive
+from transopt.problem.limits.row import COMMAND, HELD, INPUT, VELOCITY, Row
 
 # Tolerance of the replay as a share of the rail: between the instants the rows do not bound the back-EMF's change.
 BETWEEN_INSTANTS = 1e-3

@@ -21,8 +21,9 @@ from transopt.plant.coil import (
     effective_square,
     following_square_mean,
 )
-from transopt.plant.discretise import StageModel, TimeGrid
+from transopt.plant.discretise import StageModel
 from transopt.plant.state_space import CURRENT_INPUT
+from transopt.plant.time_grid import TimeGrid
 from transopt.plant.wall import HandOver
 from transopt.problem.heat import Budget, HeatModel, heat_model, steady_margin_K, winding_limit_C
 from transopt.problem.limits.limit import VIOLATION_TOLERANCE, Limit, Posed, Setting

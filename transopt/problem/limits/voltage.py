@@ -16,7 +16,8 @@ from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.plant.state_space import VOLTAGE_INPUT
 from transopt.problem.limits.input import InputLimit
-from transopt.problem.limits.limit import Posed, Row, Setting
+from transopt.problem.limits.limit import Posed, Setting
+from transopt.problem.limits.row import Row
 
 SAG = "sag"  # below `limits`: [[time in s from the first command on, share of the voltage], ...]
 

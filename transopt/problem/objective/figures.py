@@ -12,8 +12,8 @@ from functools import cached_property
 import numpy as np
 
 from transopt.base.signals import FloatArray, samples_before
-from transopt.plant.discretise import TimeGrid
 from transopt.plant.intention import INTENTION_S
+from transopt.plant.time_grid import TimeGrid
 from transopt.problem.objective.target import Target, normal
 from transopt.problem.objective.weighting import ErrorFilter, bandpass
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from transopt.plant.discretise import TimeGrid
+from transopt.plant.time_grid import TimeGrid
 from transopt.problem.objective.error_term import ErrorTerm
 
 NAME = "plain"

@@ -3,7 +3,7 @@
 import numpy as np
 
 from transopt.base.errors import InputError
-from transopt.plant.discretise import TimeGrid
+from transopt.plant.time_grid import TimeGrid
 from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.objective.weighting import RAPID, ErrorFilter, highpass, pacinian
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from transopt.base.matrices import powers
 from transopt.base.signals import FloatArray
-from transopt.plant.discretise import powers
 from transopt.problem.limits import hand_over
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import LinearStage, units_m_s2

@@ -12,7 +12,8 @@ from transopt.design.build import Build, build_library
 from transopt.design.verify import verify_library
 from transopt.library.file import load_library
 from transopt.problem.answer import OBJECTIVE_SCALE, Status
-from transopt.proof.certify import Effect, certify
+from transopt.proof.certify import certify
+from transopt.proof.effect import Effect
 from transopt.recordings.recording import Recording
 from transopt.solvers.own import own_limit
 

@@ -8,7 +8,7 @@ import pytest
 
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import PWM_RIPPLE_A, CoilModel, following_square_mean
-from transopt.plant.discretise import TimeGrid
+from transopt.plant.time_grid import TimeGrid
 from transopt.problem.heat import Budget
 from transopt.problem.limits.temperature import TemperatureLimit, temperature_limit
 

@@ -28,7 +28,8 @@ from transopt.problem.limits.stroke import StrokeLimit
 from transopt.problem.limits.supply import SupplyLimit
 from transopt.problem.limits.velocity import VelocityLimit
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import Effect, boxes, certify, reduced_gradient
+from transopt.proof.certify import certify, reduced_gradient
+from transopt.proof.effect import Effect, boxes
 from transopt.proof.replay import replay
 from transopt.solvers import riccati
 from transopt.solvers.choose import solve

@@ -9,7 +9,8 @@ from tests.benches import dense
 from tests.conftest import ProblemMaker, WalledMaker
 from transopt.base.signals import FloatArray
 from transopt.plant.chain import Link, chain
-from transopt.plant.discretise import StageModel, TimeGrid, discretise
+from transopt.plant.discretise import StageModel, discretise
+from transopt.plant.time_grid import TimeGrid
 from transopt.plant.wall import FeedbackLoop
 from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, Status
 from transopt.problem.objective.error_term import ErrorTerm
@@ -20,7 +21,8 @@ from transopt.problem.objective.weighting import highpass, pacinian
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import linear_stage
 from transopt.problem.wall_ticks import pressing_under
-from transopt.proof.certify import Effect, certify, reduced_gradient
+from transopt.proof.certify import certify, reduced_gradient
+from transopt.proof.effect import Effect
 from transopt.solvers import unlimited
 from transopt.solvers.choose import solve
 from transopt.solvers.options import SolverOptions

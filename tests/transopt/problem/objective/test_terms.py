@@ -9,7 +9,7 @@ from scipy import signal
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
-from transopt.plant.discretise import TimeGrid
+from transopt.plant.time_grid import TimeGrid
 from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.objective.heat_price import HeatPrice
 from transopt.problem.objective.movement import Movement

@@ -1,0 +1,107 @@
+"""Files of one tap of any length and rate, and of several: where they are split, and what each tap states."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.benches.places import IMPACTS
+from tests.benches.recording_files import SPEEDS, STARTS, TIMES_S, session, text
+from transopt.base.errors import InputError
+from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
+from transopt.base.signals import Signal
+from transopt.recordings.settings import Recordings
+from transopt.recordings.split import bounds
+from transopt.recordings.tap import PreparedTap, prepare, read_recordings
+
+# ---- lengths and rates -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("rate_Hz", "length_s"), [(1e3, 0.025), (1e3, 10.0), (1e6, 0.025), (1e5, 10.0)])
+def test_short_and_long_slow_and_fast(tmp_path: Path, rate_Hz: float, length_s: float) -> None:
+    times = np.arange(round(rate_Hz * length_s)) / rate_Hz
+    at = 0.4 * length_s
+    acceleration = 60 * np.exp(-(((times - at) / 2e-3) ** 2)) + 1e-3 * np.random.default_rng(1).standard_normal(
+        times.size
+    )
+    np.savez(tmp_path / "tap.npz", time_s=times, acceleration_m_s2=acceleration, speed_m_s=0.2)
+    tap = only_tap(tmp_path, "tap.npz")
+    assert tap.onset_s == pytest.approx(at, abs=6e-3)
+
+
+# ---- several taps ------------------------------------------------------------------------------------------
+
+
+def settings(folder: Path, name: str, **more: object) -> Recordings:
+    return Recordings.model_validate({"files": [name], "folder": str(folder), **more})
+
+
+def only_tap(folder: Path, name: str, **more: object) -> PreparedTap:
+    stated = settings(folder, name, **more)
+    (recording,) = read_recordings(stated)
+    return prepare(recording, stated)
+
+
+class TestSeveralTaps:
+    @pytest.fixture
+    def folder(self, tmp_path: Path) -> Path:
+        (tmp_path / "session.csv").write_text(session(STARTS, SPEEDS))
+        return tmp_path
+
+    def test_are_split_with_their_times_and_speeds(self, folder: Path) -> None:
+        stated = settings(folder, "session.csv")
+        taps = [prepare(recording, stated) for recording in read_recordings(stated)]
+        assert [tap.recording.name for tap in taps] == [f"session.csv#{k}" for k in (1, 2, 3)]
+        np.testing.assert_allclose([tap.onset_s for tap in taps], STARTS, atol=3e-4)
+        np.testing.assert_allclose([tap.speed_m_s for tap in taps], SPEEDS, rtol=0.02)
+        assert taps[1].notes[0] == "tap 2 of 3 in session.csv, peak at 0.902 s"
+
+    def test_are_chosen(self, folder: Path) -> None:
+        names = [r.name for r in read_recordings(settings(folder, "session.csv", taps_by_file={"session.*": [3, 1]}))]
+        assert names == ["session.csv#1", "session.csv#3"]
+        with pytest.raises(InputError, match=r"tap 4 is not there, the file has 3 taps, at 0\.40.*: choose 1 to 3"):
+            read_recordings(settings(folder, "session.csv", taps_by_file={"*": [4]}))
+        with pytest.raises(InputError, match=r"taps_by_file: 'other' is not among the files"):
+            read_recordings(settings(folder, "session.csv", taps_by_file={"other": [1]}))
+
+    def test_have_speeds_of_their_own(self, folder: Path) -> None:
+        by_file = {"session.csv": 0.3, "session.csv#2": 0.25}
+        taps = read_recordings(settings(folder, "session.csv", speed_by_file_m_s=by_file))
+        assert [tap.speed_m_s for tap in taps] == [0.3, 0.25, 0.3]
+        assert "stated for all taps of session.csv" in taps[0].notes[-1]
+        assert "stated for all" not in " ".join(taps[1].notes)
+        with pytest.raises(InputError, match=r"'session.csv#4' is not among the files"):
+            read_recordings(settings(folder, "session.csv", speed_by_file_m_s={"session.csv#4": 0.2}))
+
+    def test_a_stated_onset_is_in_the_files_own_time(self, folder: Path) -> None:
+        (whole,) = read_recordings(settings(folder, "session.csv", onset_s=0.9, speed_m_s=0.2))
+        assert whole.name == "session.csv"
+
+    def test_a_rebound_belongs_to_its_tap(self, tmp_path: Path) -> None:
+        (tmp_path / "one.csv").write_text(session(STARTS[:1], SPEEDS[2:]))
+        (one,) = read_recordings(settings(tmp_path, "one.csv"))
+        assert one.name == "one.csv"
+
+
+def test_a_grip_that_lets_go_is_no_tap() -> None:
+    """Struck, held pressed with a fifth of the peak, and let go within milliseconds."""
+    t = np.arange(10000) * 1e-4
+    hit = 40 * np.sin(np.pi * np.clip(t - 0.2, 0, 3e-3) / 3e-3)
+    held = 8.0 * np.clip((t - 0.25) / 0.1, 0, 1) * np.clip((0.6 - t) / 3e-3, 0, 1)
+    assert len(bounds(Signal(0.0, 1e-4, hit + held))) == 1
+    assert len(bounds(Signal(0.0, 1e-4, -hit - held))) == 1
+
+
+def test_a_trigger_without_pre_roll_says_so(tmp_path: Path) -> None:
+    pulse = 80 * np.sin(np.pi * np.minimum(TIMES_S + 2e-4, 4e-3) / 4e-3)
+    (tmp_path / "shot.csv").write_text("time [s],acc [m/s^2]\n" + text(TIMES_S, pulse))
+    tap = only_tap(tmp_path, "shot.csv", speed_m_s=0.2)
+    assert any("the contact is at the start of the file" in note for note in tap.notes)
+
+
+@pytest.mark.skipif(not IMPACTS.is_dir(), reason="the recorded impacts (CC BY-SA) are not part of the project")
+def test_recorded_impacts_are_read_without_any_option() -> None:
+    stated = settings(IMPACTS, "acc_base_a*.txt", speed_m_s=1.14)
+    taps = [prepare(recording, stated) for recording in read_recordings(stated)]
+    assert len(taps) == 25
+    assert all(tap.recording.acceleration.values.max() > 300 * G for tap in taps)

@@ -1,0 +1,213 @@
+"""What a command does in a problem: motion, heat, and the value of every limit's row beside its multipliers."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from transopt.base.signals import FloatArray
+from transopt.plant.discretise import Motion
+from transopt.plant.time_grid import TimeGrid
+from transopt.problem.answer import Multipliers
+from transopt.problem.limits.limit import Limit
+from transopt.problem.limits.row import Row
+from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.problem import TransientProblem
+
+TEMPERATURE = TemperatureLimit.row_names[0]
+
+
+@dataclass(frozen=True)
+class Box:
+    """One limit's row along the horizon, lower <= value <= upper, with its multipliers.
+
+    Attributes
+    ----------
+    limit : the limit that the row belongs to.
+    value : (N,) value of the row.
+    lower, upper : (N,) bounds, infinite where there is none.
+    by_lower, by_upper : (N,) multipliers >= 0.
+    condition : the case that the row covers, in words; empty for none.
+    """
+
+    limit: Limit
+    value: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    by_lower: FloatArray
+    by_upper: FloatArray
+    condition: str = ""
+
+    @property
+    def name(self) -> str:
+        return self.limit.label
+
+    @property
+    def unit(self) -> str:
+        return self.limit.unit
+
+    @property
+    def excess(self) -> FloatArray:
+        """(N,) violation of the bounds, negative where they hold."""
+        return np.asarray(np.maximum(self.value - self.upper, self.lower - self.value))
+
+    @property
+    def kept(self) -> bool:
+        """Whether all bounds hold, without any tolerance."""
+        return bool((self.value <= self.upper).all()) and bool((self.value >= self.lower).all())
+
+    @property
+    def peak(self) -> float:
+        """Largest absolute value where there is a bound."""
+        return float(np.abs(self.value[np.isfinite(self.upper) | np.isfinite(self.lower)]).max())
+
+    @property
+    def complementarity(self) -> float:
+        """Sum of multiplier times |slack| over the finite bounds."""
+        return _paired(self.by_upper, self.upper - self.value) + _paired(self.by_lower, self.value - self.lower)
+
+
+def _paired(multiplier: FloatArray, slack: FloatArray) -> float:
+    if not multiplier.any():
+        return 0.0
+    stated = np.isfinite(slack)
+    return float(multiplier[stated] @ np.abs(slack[stated]))
+
+
+class Effect:
+    """Motion and heat of a problem under a command (N,), each part computed on first use.
+
+    Parameters
+    ----------
+    motion : (N,) motion of the problem's own device, if it is known already.
+    """
+
+    def __init__(self, problem: TransientProblem, command: FloatArray, motion: Motion | None = None) -> None:
+        self.problem, self.command = problem, command
+        if motion is not None:
+            self.motion = motion
+
+    def of(self, problem: TransientProblem) -> "Effect":
+        """The effect of the command in another problem; the motion is reused if devices and wall are the same."""
+        effect, own = Effect(problem, self.command), self.problem
+        alike = [*map(id, problem.devices)] == [*map(id, own.devices)] and problem.grid == own.grid
+        if not alike or problem.wall is not own.wall:
+            return effect
+        for name in ("continued", "lasting", "motion", "others", "accelerations_m_s2"):
+            if name in vars(self):
+                setattr(effect, name, getattr(self, name))
+        return effect
+
+    @cached_property
+    def continued(self) -> FloatArray:
+        """(N + M,) the command, continued after the window."""
+        with np.errstate(over="ignore", invalid="ignore"):  # the loop of an unstable wall overflows
+            return self.problem.continued(self.command)
+
+    @cached_property
+    def lasting(self) -> Motion:
+        """(N + M,) motion of the problem's own device through the window and after it."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self.problem.stage.motion(self.continued)
+
+    @cached_property
+    def motion(self) -> Motion:
+        """(N,) motion of the problem's own device within the window."""
+        return self.lasting.first(self.command.shape[-1])
+
+    @cached_property
+    def others(self) -> tuple[Motion, ...]:
+        """(N + M,) motion of every further device through the window and after it."""
+        return tuple(device.motion(self.continued) for device in self.problem.spread)
+
+    def value(self, row: Row) -> FloatArray:
+        """(N,) value of a row of the problem's limits."""
+        if row.name not in self.values:
+            self.values[row.name] = row.value(self.motion_of(row.device), self.command)
+        return self.values[row.name]
+
+    @cached_property
+    def values(self) -> dict[str, FloatArray]:
+        """Values (N,) of rows by name, as far as they have been computed."""
+        return {}
+
+    def motion_of(self, device: int) -> Motion:
+        """(N,) motion of a device within the window; 0 is the problem's own."""
+        return self.others[device - 1].first(self.command.shape[-1]) if device else self.motion
+
+    @cached_property
+    def accelerations_m_s2(self) -> FloatArray:
+        """(S, N + M) y'' of every device, or (p, N + M) of every direction."""
+        if self.problem.directions:
+            return self.lasting.acceleration_m_s2
+        return np.stack([motion.acceleration_m_s2 for motion in (self.lasting, *self.others)])
+
+    @cached_property
+    def mean_square_A2(self) -> FloatArray:
+        """(N,) mean of i_eff^2 over each period; only for a problem with a temperature limit."""
+        assert self.problem.thermal is not None
+        return self.problem.thermal.model.heating.mean_square(self.motion.plant_input, self.command)
+
+    @cached_property
+    def rise_K(self) -> FloatArray:
+        """(N + 1, m) rises of the thermal nodes at tau_0 to tau_N; only for a problem with a temperature limit."""
+        assert self.problem.thermal is not None
+        return self.problem.thermal.model.rise(self.mean_square_A2)
+
+    @cached_property
+    def winding_C(self) -> FloatArray:
+        """(N,) winding temperature at tau_1 to tau_N; only for a problem with a temperature limit."""
+        assert self.problem.thermal is not None
+        return np.asarray(self.rise_K[1:, 0] + self.problem.thermal.model.unpowered_C)
+
+    def by_heating(self, multipliers: Multipliers) -> FloatArray:
+        """(N,) gradient of the temperature limit's term of the Lagrangian by the heatings; zero without a limit."""
+        thermal, by_winding = self.problem.thermal, multipliers.upper(TEMPERATURE)
+        if thermal is None or not by_winding.any():
+            return np.zeros(self.command.shape[-1])
+        return thermal.model.adjoint(self.mean_square_A2, by_winding, self.rise_K)
+
+
+def effects(commands: Sequence[tuple[TransientProblem, FloatArray]]) -> list[Effect]:
+    """What commands (N,) do, each in its problem, those of one device rolled out side by side."""
+    found = [Effect(problem, command) for problem, command in commands]
+    groups: dict[tuple[int, TimeGrid], list[Effect]] = {}
+    for effect in found:
+        groups.setdefault((id(effect.problem.stage), effect.problem.grid), []).append(effect)
+    for group in groups.values():
+        with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
+            lasting = group[0].problem.stage.motion(np.stack([effect.continued for effect in group]))
+        for course, effect in enumerate(group):
+            effect.lasting = lasting.of_course(course)
+    return found
+
+
+def boxes(problem: TransientProblem, command: FloatArray, motion: Motion, multipliers: Multipliers) -> list[Box]:
+    """All rows of the problem's limits, with their values under a command and its motion."""
+    return list(boxes_of(Effect(problem, command, motion), multipliers))
+
+
+def boxes_of(effect: Effect, multipliers: Multipliers, *, only: str | None = None) -> Iterator[Box]:
+    """Yield the rows of all limits, or of the limit of one name, with their values under a command's effect."""
+    problem, m, N = effect.problem, multipliers, effect.problem.grid.stages
+    for limit, row in problem.rows():
+        if only in (None, limit.name):
+            yield Box(limit, effect.value(row), *row.bounds(N), m.lower(row.name), m.upper(row.name), row.condition)
+    thermal = problem.thermal
+    if thermal is not None and only in (None, thermal.name):
+        sides = np.full(N, -np.inf), thermal.bounds_C
+        yield Box(thermal, effect.winding_C, *sides, m.lower(TEMPERATURE), m.upper(TEMPERATURE))
+
+
+def inside(
+    problem: TransientProblem, command: FloatArray, *, only: str | None = None, effect: Effect | None = None
+) -> bool:
+    """Whether a command meets all limits, or only the limit of one name, without any tolerance.
+
+    Parameters
+    ----------
+    effect : effect of this command in this problem, if the caller reuses it.
+    """
+    limits = boxes_of(effect or Effect(problem, command), Multipliers.zero(problem), only=only)
+    return all(box.kept for box in limits)
