@@ -40,6 +40,7 @@ BESIDE = (
 )
 
 RESIDUALS = ("primal_violation", "dual_residual", "duality_gap")
+LEAST = np.finfo(float).tiny  # a number below it is zero in whatever unit
 NOTHING = 2e-6  # of a residual or a multiplier: what the certificate tolerates is nothing to hold a file to
 
 
@@ -167,7 +168,7 @@ def _change_array(arrays: Arrays, chance: random.Random) -> str:
     if name == "reference_raw_m_s2" and value.shape == array.shape and _bends_nothing(value - array, arrays):
         return ""
     if value.dtype == array.dtype and _alike(
-        value, array, NOTHING if name in RESIDUALS or name.startswith("mu_") else 0.0
+        value, array, NOTHING if name in RESIDUALS or name.startswith("mu_") else LEAST
     ):
         return ""
     arrays[name] = value
