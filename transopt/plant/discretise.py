@@ -16,15 +16,15 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from transopt.base.matrices import exponential, powers
+from transopt.base.matrices import exponential
 from transopt.base.recursions import LinearSystem, Recursion
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
+from transopt.plant.scaling import peaks, sizes
 from transopt.plant.state_space import StateSpace
 
 T = TypeVar("T")
-PEAK_PERIOD = 20  # stages in half a period of the square wave that scales the states
 PERIOD = " the period"  # suffix of the names of outputs that depend on the command c_k at stage k
 AFTER = f" after{PERIOD}"  # suffix of an output's value at the next switching instant
 
@@ -265,8 +265,8 @@ class StageModel:
     def state_scale(self, input_limit: float, stages: int) -> FloatArray:
         """(n,) size of each state by `state_scale`; its simulation is cached for all problems of one grip."""
         if stages not in self._peaks:
-            self._peaks[stages] = _peaks(self.A, self.B, stages)
-        return _sizes(input_limit * self._peaks[stages])
+            self._peaks[stages] = peaks(self.A, self.B, stages)
+        return sizes(input_limit * self._peaks[stages])
 
     @cached_property
     def _peaks(self) -> dict[int, FloatArray]:
@@ -414,44 +414,3 @@ def _flow(A: FloatArray, B: FloatArray, amplifier: Amplifier | None) -> FloatArr
     flow[:n, : n + m] = np.hstack([A, B])
     flow[n : n + m, n:] = np.hstack([-w * np.eye(m), w * np.eye(m)])
     return flow
-
-
-def state_scale(A: FloatArray, B: FloatArray, current_limit_A: float, stages: int) -> FloatArray:
-    """(n,) size of each state of x+ = A x + B c under a square wave of the limit current of 40 servo periods.
-
-    In these units every state of the optimal-control problem is of order one for all masses and stiffnesses;
-    elongations and velocities in SI differ by four orders of magnitude.
-
-    Parameters
-    ----------
-    A : (n, n).
-    B : (n, m), or (n,) with one motor. The sizes under the single motors are added.
-    current_limit_A : amplitude of the square wave.
-    stages : N of the problem; at most 400 periods are simulated.
-    """
-    return _sizes(current_limit_A * _peaks(A, B, stages))
-
-
-def _sizes(peaks: FloatArray) -> FloatArray:
-    """Peaks as sizes: 1 for a state that the input does not move."""
-    return np.where(peaks > 0, peaks, 1.0)
-
-
-def _peaks(A: FloatArray, B: FloatArray, stages: int) -> FloatArray:
-    """(n,) peak of each state under a square wave of amplitude 1, summed over the motors."""
-    of_A = powers(A, PEAK_PERIOD)
-    return np.asarray(
-        np.sum([_peaks_of_motor(of_A, column, stages) for column in B.reshape(B.shape[0], -1).T], axis=0)
-    )
-
-
-def _peaks_of_motor(of_A: FloatArray, B: FloatArray, stages: int) -> FloatArray:
-    period, n = PEAK_PERIOD, B.size
-    halves = -(-min(stages, 20 * period) // period)
-    held = np.cumsum((of_A[:-n] @ B).reshape(period, n), axis=0)
-    # One half period per row, with the sign of its current taken out: x+ = held_20 - A^20 x. All states of a half
-    # period follow from its start.
-    starts = np.zeros((halves, n))
-    starts[1:] = np.cumsum((powers(-of_A[-n:], halves - 2) @ held[-1]).reshape(-1, n), axis=0)
-    courses = held.ravel() - starts @ of_A[n:].T
-    return np.asarray(np.abs(courses).max(axis=0).reshape(period, n).max(axis=0))

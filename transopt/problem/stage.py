@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from transopt.base.signals import FloatArray
-from transopt.plant.discretise import StageModel, state_scale
+from transopt.plant.discretise import StageModel
+from transopt.plant.scaling import state_scale
 from transopt.problem.limits.row import COMMAND, HELD, INPUT, VELOCITY, Row
 from transopt.problem.objective.weighting import ErrorFilter
 from transopt.problem.problem import TransientProblem

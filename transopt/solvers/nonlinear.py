@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 from transopt.base.arithmetic import FUNCTIONS, Functions
 from transopt.base.recursions import LinearSystem
 from transopt.base.signals import FloatArray
-from transopt.plant.discretise import AFTER, state_scale
+from transopt.plant.discretise import AFTER
 from transopt.plant.nonlinear_stage import NonlinearStage, resolved
+from transopt.plant.scaling import state_scale
 from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, Pair, Solution, Status
 from transopt.problem.limits.limit import Limit
 from transopt.problem.limits.row import COMMAND, HELD, INPUT, Row

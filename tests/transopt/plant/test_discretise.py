@@ -13,7 +13,8 @@ from transopt.design.build import build_library
 from transopt.design.verify import verify_library
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.chain import Link, chain
-from transopt.plant.discretise import Motion, discretise, state_scale
+from transopt.plant.discretise import Motion, discretise
+from transopt.plant.scaling import state_scale
 from transopt.plant.time_grid import TimeGrid
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
