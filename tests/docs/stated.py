@@ -121,12 +121,10 @@ def stated() -> frozenset[Stated]:
 
 
 def is_stated(value: float, unit: str) -> bool:
-    """Whether the code names this number; of a share also what it leaves of 1, or adds to it."""
+    """Whether the code names this number with this unit."""
     kind, factor = UNITS[unit]
     wanted = {(kind, value * factor)}
-    if kind == "":
-        wanted |= {(kind, 1 - value * factor), (kind, 1 + value * factor)}
-    elif kind == "B":
+    if kind == "B":
         wanted |= {(kind, value * 1e3), (kind, value * 1e6)}
     elif kind in ("g", "m/s²"):
         wanted |= {("m/s²", value * G), ("g", value / G)}

@@ -1,5 +1,6 @@
-"""No number with a unit in the prose of the manual is stale: each has a source that changes with the project.
+"""Numbers with a unit in the prose of the manual: each has a source that changes with the project.
 
+A round number has one easily: the code names a tenth of all whole milliseconds, nearly half of all whole percents.
 The source is one of these. A block of the page prints it. The page of results that its paragraph links to has it.
 A claim of `test_figures` or of `COMPUTED` makes it again. A test that its sentence names states it. Or the code names
 it with its unit (`stated`): a constant, a default, a bound or a value of a built-in scene. What comes from outside of
