@@ -256,7 +256,7 @@ def prepare_all(recordings: Sequence[Recording], settings: Recordings) -> list[P
 
     Raises
     ------
-    InputError : as by `prepare`, for the first recording that is refused.
+    InputError : as by `prepare`, for one of the recordings that are refused.
     """
     ups = [upright(recording, settings) for recording in recordings]
     smooth = lowpass_all([up.signal for up in ups], settings.time_scale * settings.lowpass_Hz)

@@ -425,8 +425,8 @@ ALWAYS_INLINE void sum_of(const int registers, const struct entry *at, const str
 
 /* One block of up to LANES courses in this many registers, see `tr_struck`; `starts` of the rows among their entries. */
 ALWAYS_INLINE void strike_in(const int registers, const size_t steps, const int n, const int outputs,
-                             const size_t columns, const struct entry *entries, const int *starts, const double *contact, lanes *restrict z,
-                             double *found, const size_t used)
+                             const size_t columns, const struct entry *entries, const int *starts,
+                             const double *contact, lanes *restrict z, double *found, const size_t used)
 {
     lanes seen[2], next[MOST_OUTPUTS + MOST_STATES];
     double depth[LANES], closing[LANES], force[LANES];
