@@ -1,12 +1,16 @@
-"""A solved library with other numbers of speeds and grips than were solved, or with some of them."""
+"""Libraries beside those that were solved: other nodes or values, changed files, and files that are proven again."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
+from transopt.design.verify import verify_library
+from transopt.library.arrays import HASH_FIELD, content_hash
 from transopt.library.library import Library
 from transopt.library.multipliers import ARRAYS
+from transopt.library.proven import load_proven
 from transopt.scene.keys import with_values
 
 
@@ -51,3 +55,28 @@ def _tables(library: Library, speeds: Sequence[int], grips: Sequence[int]) -> di
     """What `meta` says of every entry, of some of them."""
     said = {name: library.meta[name] for name in ("repeatability", "slow_part_known")}
     return {name: [[table[iv][ig] for ig in grips] for iv in speeds] for name, table in said.items()}
+
+
+def proven_again(library: Library | None, folder: Path) -> Library:
+    """A library as it is read from its file: the same arrays, proven when it is read, and verified entry by entry."""
+    library.save(folder / "library.npz")
+    read = load_proven(folder / "library.npz")
+    assert read.content_sha256 == library.content_sha256
+    for name in library.stored():
+        np.testing.assert_array_equal(read.array(name), library.array(name), err_msg=name)
+    for check in verify_library(read):
+        assert check.shortfalls == [], check.cells
+        assert check.certificate.accepted or (check.certificate.is_stationary and read.nonlinear), check.cells
+    return read
+
+
+def rewritten(path: Path, *, drop: str = "", hashed: bool = True, **changed: object) -> Path:
+    """The file without an array or with other ones, and with the hash that they have, or else with the old one."""
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file.files if name != drop}
+    arrays |= {name: np.asarray(array) for name, array in changed.items()}
+    if hashed and drop != HASH_FIELD:
+        arrays.pop(HASH_FIELD)
+        arrays[HASH_FIELD] = np.array(content_hash(arrays))
+    np.savez(path, **arrays)  # type: ignore[arg-type]
+    return path

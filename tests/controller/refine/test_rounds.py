@@ -18,7 +18,7 @@ from controller.refine.learner import NOT_CONFIRMED, NOT_SURE, NOT_TAPPED, NOTHI
 from controller.refine.learning import Ratio, condition, corrected, factors, ratio, through_q, widest
 from controller.refine.rounds import Refined, refine
 from controller.refine.tables import refine_table, summary
-from tests.benches.libraries import part_of, under
+from tests.benches.libraries import part_of, proven_again, under
 from transopt.base.errors import InputError
 from transopt.base.plotting import save_figure
 from transopt.base.signals import FloatArray, nrmse
@@ -167,9 +167,7 @@ class TestResolve:
         asked = {(0, 0): 0.2 * wanted(small, 0, 0), (1, 1): 0.3 * wanted(small, 1, 1)}
         refined, kept = resolve(small, asked, {"rounds": []})
         assert not kept
-        refined.save(tmp_path / "refined.npz")
-        loaded = load_library(tmp_path / "refined.npz")
-        assert [check.shortfalls for check in verify_library(loaded)] == [[]] * 4
+        loaded = proven_again(refined, tmp_path)
         # What no limit binds follows its correction; what one does stays within it.
         # But for the weight of the command's movement, which is relative to the limit.
         assert nrmse(loaded.command[0, 0], 1.2 * small.command[0, 0]) < 0.02
@@ -259,7 +257,6 @@ class TestRounds:
         self, small: Library, refined: Refined
     ) -> None:
         first, last = refined.history.rounds[0], refined.history.confirmed
-        assert last is not None
         assert first[0, 0].playback_error == pytest.approx(0.2, abs=0.01)
         assert last[0, 0].playback_error < 0.012
         assert not last[0, 0].limited
@@ -268,7 +265,6 @@ class TestRounds:
         for results in refined.history.rounds[1:]:
             assert all(node.condition is not None and node.condition.met for node in results.values())
         learnt = refined.history.rounds[1][0, 0].condition
-        assert learnt is not None
         assert learnt.factor == pytest.approx(0.2, abs=0.02)
 
     def test_a_round_that_comes_out_worse_is_taken_back(self, small: Library) -> None:
@@ -277,7 +273,6 @@ class TestRounds:
         assert rounds[1][0, 1].better
         assert not rounds[2][0, 1].better
         again = rounds[3][0, 1].condition
-        assert again is not None
         assert again.gain == 0.5
         assert (0, 1) in refined.better
 
@@ -319,9 +314,7 @@ class TestRounds:
         assert not summary(refined, Path("library.npz"))[1]
 
     def test_certified_within_all_limits(self, small: Library, refined: Refined, tmp_path: Path) -> None:
-        refined.library.save(tmp_path / "refined.npz")
-        loaded = load_library(tmp_path / "refined.npz")
-        assert [check.shortfalls for check in verify_library(loaded)] == [[]] * 4
+        loaded = proven_again(refined.library, tmp_path)
         assert loaded.peak_input.max() <= 4 + 1e-6
         kept = loaded.meta["refinement"]
         assert kept["source"] == "a test"
@@ -331,7 +324,6 @@ class TestRounds:
         np.testing.assert_array_equal(loaded.recorded_m_s2, small.recorded_m_s2)
         # Refined once more there is little left.
         again = refine(loaded, Bent(0.8), resolve, 1, STATED)
-        assert refined.history.confirmed is not None
         assert again.history.rounds[0][0, 0].playback_error == pytest.approx(
             refined.history.confirmed[0, 0].playback_error, abs=2e-3
         )

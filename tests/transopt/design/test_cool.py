@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 import transopt as to
 from tests.benches.dense import Program, responses
+from tests.benches.libraries import proven_again
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.design.resolve import resolve
@@ -92,13 +93,11 @@ class TestOptimum:
 
 class TestLibrary:
     def test_it_is_read_back_as_it_was_written(self, cooled: Library, tmp_path: Path) -> None:
-        cooled.save(tmp_path / "cooled.npz")
-        loaded = load_library(tmp_path / "cooled.npz")
+        loaded = proven_again(cooled, tmp_path)
         for name in cool(cooled).stored():
             np.testing.assert_array_equal(cool(loaded).array(name), cool(cooled).array(name))
         assert cool(loaded).meta["left_out"] == cool(cooled).meta["left_out"]
-        assert not list(doubts(loaded))
-        assert [entry.shortfalls for entry in verify_library(loaded)] == [[]] * 8
+        assert len(verify_library(loaded)) == 8  # the first commands and the cool ones
 
     def test_a_part_that_is_missing_is_named(self, cooled: Library, tmp_path: Path) -> None:
         replace(cooled, cool=None).save(tmp_path / "halved.npz")
@@ -137,9 +136,7 @@ class TestLibrary:
         asked = {(0, 1): 0.1 * cooled.told(0, 1).window_m_s2}
         refined, kept = resolve(cooled, asked, {"rounds": []})
         assert not kept
-        refined.save(tmp_path / "refined.npz")
-        loaded = load_library(tmp_path / "refined.npz")
-        assert not list(doubts(loaded))
+        loaded = proven_again(refined, tmp_path)
         for of, before in ((loaded, cooled), (cool(loaded), cool(cooled))):
             assert np.abs(of.command[0, 1] - before.command[0, 1]).max() > 0.01
             np.testing.assert_array_equal(of.command[0, 0], before.command[0, 0])

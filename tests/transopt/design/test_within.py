@@ -11,17 +11,17 @@ from scipy import linalg
 
 import problems
 from tests.benches import dense
+from tests.benches.libraries import proven_again
 from transopt.base.errors import InputError
 from transopt.design.build import build_library
 from transopt.design.context import Context
 from transopt.design.design import design
 from transopt.design.entry import Entry
 from transopt.design.optimum import optimum
-from transopt.design.verify import verify_library
 from transopt.design.within import AIM, MOST_COST, margin_cost
 from transopt.library.library import Library
 from transopt.library.online import Online
-from transopt.library.proven import doubts, load_proven
+from transopt.library.proven import doubts
 from transopt.problem.answer import Status
 from transopt.problem.limits.output import PARTS, OutputLimit
 from transopt.proof.certify import certify
@@ -170,7 +170,6 @@ def test_no_command_leaves_the_chord_by_more_than_what_is_kept_back(name: str, p
 @pytest.mark.parametrize("name", ["lra_click", "voice_coil_thud", "shaker_pulse"])
 def test_where_it_costs_little_it_is_left_out_and_said(name: str) -> None:
     made = build_library(problems.load(name), [])
-    assert made.library is not None
     assert "instants_within" not in made.library.arrays()
     assert not [array for array in made.library.arrays() if "_of_" in array]
     for entry in made.all_entries():
@@ -212,12 +211,9 @@ def library() -> Library:
 
 class TestLibrary:
     def test_is_proven_from_its_file(self, library: Library, tmp_path: Path) -> None:
-        library.save(tmp_path / "library.npz")
-        again = load_proven(tmp_path / "library.npz")
-        assert again.content_sha256 == library.content_sha256
+        again = proven_again(library, tmp_path)
         assert [again.problem(iv, 0).parts for iv in range(2)] == [{"stroke": 4}, {"stroke": 8}]
         assert again.array("mu_stroke_3_of_4_upper").max() > 0
-        assert not any(check.shortfalls for check in verify_library(again))
 
     @pytest.mark.parametrize("forged", ["multiplier", "command", "fewer", "more", "none", "odd"])
     def test_is_refused_where_it_was_changed(self, library: Library, forged: str) -> None:
@@ -247,7 +243,6 @@ def test_a_tap_between_the_nodes_is_solved_with_the_instants_of_the_nodes(
 ) -> None:
     values = {"limits.velocity_m_s": 0.41, "time.stages": 150, "grid.grips_N": [4.0, 5.0]}
     library = build_library(with_values(scene, values), taps).library
-    assert library is not None
     assert library.instants_within[..., 2].max() > 0
     tap = Online(library).solve(0.39, 4.5)
     assert tap.certificate is not None, tap.remark
@@ -264,6 +259,4 @@ def test_a_second_command_and_devices_of_a_spread_have_them_too(tmp_path: Path) 
     assert len(limit.rows(entry.problem)) == limit.parts * len(entry.problem.devices)
     cost = margin_cost(limit, entry.problem, entry.solution.multipliers)
     assert cost <= 1.01 * AIM * entry.certificate.objective
-    assert made.library is not None
-    made.library.save(tmp_path / "library.npz")
-    assert not any(check.shortfalls for check in verify_library(load_proven(tmp_path / "library.npz")))
+    proven_again(made.library, tmp_path)

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from tests.benches import dense
+from tests.benches.libraries import proven_again
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.design.build import Build, build_library
 from transopt.design.context import Context, wanted_of
 from transopt.design.optimum import optimum
-from transopt.design.verify import verify_library
 from transopt.design.worst import least_worst
-from transopt.library.file import load_library
 from transopt.library.library import Library
 from transopt.library.online import Online
 from transopt.library.proven import doubts
@@ -170,11 +169,7 @@ def library(build: Build) -> Library:
 
 class TestLibrary:
     def test_is_certified_saved_and_verified(self, library: Library, tmp_path: Path) -> None:
-        library.save(tmp_path / "library.npz")
-        read = load_library(tmp_path / "library.npz")
-        assert read.spread_share.shape == (4, 2, 4)
-        assert not list(doubts(read))
-        assert all(not each.shortfalls for each in verify_library(read))
+        assert proven_again(library, tmp_path).spread_share.shape == (4, 2, 4)
 
     def test_other_shares_in_the_file_are_found(self, library: Library) -> None:
         shares = library.spread_share.copy()
@@ -184,17 +179,12 @@ class TestLibrary:
     def test_the_mean_has_no_shares_in_its_file(self, scene: Scene, taps: list[Recording], tmp_path: Path) -> None:
         mean = with_values(scene, {**GRID, "robust": {"grip_spread": 0.3, "samples": 4}})
         made = build_library(mean, taps).library
-        assert made is not None
-        made.save(tmp_path / "library.npz")
-        with np.load(tmp_path / "library.npz") as file:
-            assert "spread_share" not in file.files
-        assert not list(doubts(load_library(tmp_path / "library.npz")))
+        assert "spread_share" not in proven_again(made, tmp_path).arrays()
 
     def test_the_report_says_what_is_least(self, build: Build) -> None:
         text = build_markdown(build, full=False)
         assert "Worst: the largest over the spread, which is what the design minimises" in text
         for entry in build.all_entries():
-            assert entry.spread is not None
             assert entry.spread.robust_worst <= entry.spread.nominal_worst * (1 + 1e-6)
 
     @pytest.mark.skipif(not extension.available, reason="the extension is not built")

@@ -4,10 +4,8 @@ from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
-from scipy.io import loadmat
 
 from transopt.library.arrays import absent, content_hash, declared
-from transopt.library.export import export_library
 from transopt.library.held import Held
 from transopt.library.library import Library
 from transopt.library.meta import stated
@@ -55,14 +53,12 @@ def test_every_shape_is_made_of_known_sizes_and_every_meaning_is_said() -> None:
         )
 
 
-def test_a_library_file_and_a_mat_file_hold_what_is_declared(library: Library, tmp_path: Path) -> None:
+def test_a_library_file_holds_what_is_declared(library: Library, tmp_path: Path) -> None:
     missing = absent(ARRAYS, stated(library.scene(), library.meta))
     wanted = {name for name in ARRAYS if name not in missing} | {"meta", "content_sha256"}
     library.save(tmp_path / "library.npz")
-    export_library(library, tmp_path / "library.mat")
     with np.load(tmp_path / "library.npz") as file:
         assert set(file.files) == wanted
-    assert {name for name in loadmat(tmp_path / "library.mat") if not name.startswith("__")} == wanted
 
 
 def test_the_hash_tells_names_types_shapes_and_bytes_apart() -> None:

@@ -7,10 +7,9 @@ import pytest
 
 import problems
 from tests.benches import dense
+from tests.benches.libraries import proven_again
 from transopt.base.errors import InputError
 from transopt.design.build import Build, build_library
-from transopt.design.verify import verify_library
-from transopt.library.file import load_library
 from transopt.problem.answer import OBJECTIVE_SCALE, Status
 from transopt.proof.certify import certify
 from transopt.proof.effect import Effect
@@ -102,10 +101,8 @@ def test_the_gradient_of_a_law_is_that_of_differences(tmp_path: Path, taps: list
 @pytest.mark.parametrize("limit", [JOINT, AREA])
 def test_the_library_needs_no_file(tmp_path: Path, taps: list[Recording], limit: str) -> None:
     build = solved(tmp_path, taps, limit)
-    build.library.save(tmp_path / "library.npz")
     (tmp_path / "my_limits.py").unlink()
-    again = load_library(tmp_path / "library.npz")
-    assert not any(check.shortfalls for check in verify_library(again))
+    proven_again(build.library, tmp_path)
 
 
 @pytest.mark.parametrize(
