@@ -6,4 +6,3 @@ ROOT = Path(__file__).parents[2]
 # Real recorded impacts, beside a checkout and no part of it: tests that need them skip where they are absent.
 IMPACTS = ROOT.parent / "shared" / "data" / "impacts"
 CASES = ROOT.parent / "shared" / "data" / "cases"  # small files as people bring them
-# A small library of schema 1: 0.1 and 0.4 m/s at 3 N, 150 stages.

@@ -17,9 +17,9 @@ from typing import Annotated
 import pytest
 import typer
 
-from tests.campaigns.harness import JsonFile, at_least, long_form, write_json
+from tests.benches.actuators import LRA
+from tests.campaigns.harness import JsonFile, at_least, long_form, show, words_of, write_json
 from transopt.base.errors import InputError
-from transopt.base.writing import table
 from transopt.design.solve import design_nonlinear
 from transopt.problem.answer import Status
 from transopt.scene.scene import Scene
@@ -77,17 +77,7 @@ def scene(plant: str, rate_Hz: float = 10e3, targets: Sequence[Target] = TARGETS
             "hand_over_samples": 1,
             "time": {"dt_s": 1 / rate_Hz, "stages": round(window_s * rate_Hz), "lead_s": 0.0},
             "targets": list(targets),
-            "model": {
-                "kind": "inertial",
-                "resonance_Hz": 150,
-                "quality": 8,
-                "moving_mass_kg": 0.003,
-                "case_mass_kg": 0.1,
-                "force_factor_N_A": 0.8,
-                "R_ohm": 8.0,
-                "L_H": 1e-4,
-                "nonlinear": PLANTS[plant],
-            },
+            "model": {**LRA, "nonlinear": PLANTS[plant]},
             "limits": {"voltage_V": 20.0, "stroke_m": 6e-4},
         }
     )
@@ -118,13 +108,8 @@ def main(
     rate_hz: Annotated[float, at_least(2e3, "servo rate")] = 10e3,
     json: JsonFile = None,
 ) -> int:
-    wanted = plants.split(",")
-    unknown = [plant for plant in wanted if plant not in PLANTS]
-    if unknown:
-        raise InputError(f"--plants {unknown[0]}: must be some of {', '.join(PLANTS)}")
-    found = [each for plant in wanted for each in measured(scene(plant, rate_hz))]
-    shown = table(list(HEAD), [each.row() for each in found])
-    print(*shown, sep="\n")
+    found = [each for plant in words_of(plants, PLANTS) for each in measured(scene(plant, rate_hz))]
+    show(HEAD, [each.row() for each in found])
     off, substeps = max(each.off_replay for each in found), max(each.substeps for each in found)
     print(f"the stages' y'' is off the replay's by at most {off:.0e} of its peak, with up to {substeps} substeps")
     for each in found:
@@ -149,5 +134,5 @@ def test_the_nonlinear_design_is_at_most_half_as_wrong_as_the_linear_one() -> No
 
 
 def test_another_plant_is_refused() -> None:
-    with pytest.raises(InputError, match="--plants spruce: must be some of force, spring, friction"):
+    with pytest.raises(InputError, match="spruce: not one of force, spring, friction"):
         main(plants="spruce")

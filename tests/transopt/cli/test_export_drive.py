@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.io import wavfile
 
-from tests.benches.clicks import clicks
+from tests.benches.actuators import clicks
 from tests.benches.commands import Run, assert_refused
 from transopt.library.trade import trade_figures
 

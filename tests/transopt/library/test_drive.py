@@ -12,7 +12,7 @@ import pytest
 from scipy import signal
 from scipy.io import loadmat, wavfile
 
-from tests.benches.clicks import clicks
+from tests.benches.actuators import clicks
 from transopt.base.errors import InputError
 from transopt.library.drive import Driver, chosen, drive_of, driver_for, held
 from transopt.library.drive_files import export_drive, file_names

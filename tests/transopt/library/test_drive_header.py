@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.benches.clicks import clicks
+from tests.benches.actuators import clicks
 from transopt.base.errors import InputError
 from transopt.library.drive_files import export_drive
 from transopt.library.export import export_library

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.benches.clicks import SCENE as CLICKS
+from tests.benches.actuators import CLICKS
 from tests.benches.commands import Terminal, assert_refused
-from tests.benches.libraries import under
+from tests.benches.libraries import proven_again, under
 from transopt.base.errors import InputError
 from transopt.design.solve import solve
 from transopt.library.library import Library
@@ -48,9 +48,7 @@ def louder(library: Library) -> Library:
 
 
 def test_what_was_designed_is_proven(library: Library, tmp_path: Path) -> None:
-    assert list(doubts(library)) == []
-    library.save(tmp_path / "library.npz")
-    assert load_proven(tmp_path / "library.npz").content_sha256 == library.content_sha256
+    assert list(doubts(proven_again(library, tmp_path))) == []
 
 
 @pytest.mark.parametrize(
@@ -151,7 +149,6 @@ def test_commands_refuse_what_is_not_proven(
 def test_a_mass_in_a_case_is_the_device_of_its_scene(limit: str, tmp_path: Path) -> None:
     """The device's position follows no nominal motion, which the file says whether or not a limit looks at it."""
     scene = Scene.model_validate(tomllib.loads(CLICKS.replace("stroke_m = 6e-4", limit)))
-    solve(scene).save(tmp_path / "library.npz")
-    plant = load_proven(tmp_path / "library.npz").plant(0)
+    plant = proven_again(solve(scene), tmp_path).plant(0)
     assert plant.moves_in_a_case
     assert plant.outputs["velocity"].follows == ""

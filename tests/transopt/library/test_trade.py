@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from tests.benches.clicks import clicks
+from tests.benches.actuators import clicks
 from transopt.library.library import Library
 from transopt.library.trade import TradeFigures, trade_figures, trade_of
 from transopt.problem.objective.target import Target

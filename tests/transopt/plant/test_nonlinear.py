@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 from pydantic import ValidationError
-from scipy import integrate
 
+from tests.benches.actuators import LRA, integrated
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.discretise import AFTER, Motion, discretise
 from transopt.plant.inertial import Inertial
@@ -25,18 +25,7 @@ AMPLIFIERS = {"ideal": None, "pole": Amplifier(1050.0, 68e-6, 6.0)}
 
 
 def lra(**changed: Any) -> Inertial:
-    stated = {
-        "kind": "inertial",
-        "resonance_Hz": 150,
-        "quality": 8,
-        "moving_mass_kg": 0.003,
-        "case_mass_kg": 0.1,
-        "force_factor_N_A": 0.8,
-        "R_ohm": 8.0,
-        "L_H": 1e-4,
-        "nonlinear": LAWS,
-    }
-    return Inertial(**{**stated, **changed})
+    return Inertial(**{**LRA, "nonlinear": LAWS, **changed})
 
 
 def shaker(**changed: Any) -> VoiceCoil:
@@ -58,46 +47,9 @@ def command() -> np.ndarray:
     return 2.5 * np.sin(2 * np.pi * 150 * t) * (t < 4e-3)
 
 
-def by_newton(kind: Inertial | VoiceCoil, state: np.ndarray, u: float) -> tuple[list[float], float]:
-    """dx/dt and the acceleration, by the equations written out with the laws' numbers."""
-    x, v, *more = state
-    m, case, BL0 = kind.moving_mass_kg, kind.case_mass_kg, kind.force_factor_N_A
-    mu = m if case is None else m * case / (m + case)
-    if isinstance(kind, Inertial):
-        w = 2 * np.pi * kind.resonance_Hz
-        K0, c = mu * w**2, mu * w / kind.quality
-    else:
-        K0, c = kind.stiffness_N_m, kind.damping_N_s_m
-    BL, K = BL0 * (1 - 0.3 * (x / 0.6e-3) ** 2), K0 * (1 + (x / 1e-3) ** 2)
-    if kind.input == "current":
-        i = u
-    else:
-        assert kind.R_ohm is not None
-        i = more[0] if kind.L_H else (u - BL * v) / kind.R_ohm
-    force = BL * i - K * x - c * v - 0.02 * np.tanh(v / 0.05)
-    rates = [v, force / mu]
-    if kind.input == "voltage" and kind.L_H:
-        rates.append((u - kind.R_ohm * i - BL * v) / kind.L_H)
-    return rates, force / (m if case is None else case)
-
-
-def integrated(kind: Inertial | VoiceCoil, amplifier: Amplifier | None, commands: np.ndarray) -> np.ndarray:
-    """(N,) y'' at the switching instants, by DOP853."""
-    order = plant_of(kind).linear.order
-    state, found = np.zeros(order + (amplifier is not None)), []
-
-    def rate(_: float, z: np.ndarray, c: float) -> list[float]:
-        if amplifier is None:
-            return by_newton(kind, z, c)[0]
-        return [*by_newton(kind, z[:-1], z[-1])[0], amplifier.rate_rad_s * (c - z[-1])]
-
-    for c in commands:
-        own, u = (state, c) if amplifier is None else (state[:-1], state[-1])
-        found.append(by_newton(kind, own, u)[1])
-        state = integrate.solve_ivp(
-            rate, (0, DT_S), state, method="DOP853", rtol=1e-12, atol=1e-14, args=(c,)
-        ).y[:, -1]  # fmt: skip
-    return np.array(found)
+def by_integrator(kind: Inertial | VoiceCoil, amplifier: Amplifier | None) -> np.ndarray:
+    """(N,) acceleration of the command at the switching instants."""
+    return integrated(kind, amplifier, command(), DT_S, stiffening=1.0, friction_N=0.02)
 
 
 @pytest.mark.parametrize("amplifier", AMPLIFIERS)
@@ -107,7 +59,7 @@ class TestStage:
         stage = NonlinearStage(plant_of(KINDS[name]), AMPLIFIERS[amplifier], DT_S, 1)
         stage, error = resolved(stage, command())
         found = stage.motion(command()).acceleration_m_s2
-        expected = integrated(KINDS[name], AMPLIFIERS[amplifier], command())
+        expected = by_integrator(KINDS[name], AMPLIFIERS[amplifier])
         off = np.abs(found - expected).max() / np.abs(expected).max()
         assert error <= 1e-6
         assert off <= 6e-7
@@ -148,7 +100,7 @@ class TestStage:
 
 
 def test_the_error_of_a_step_falls_by_its_order() -> None:
-    expected = integrated(KINDS["current"], None, command())
+    expected = by_integrator(KINDS["current"], None)
     plant, errors = plant_of(KINDS["current"]), []
     for substeps in (1, 2, 4):
         found = NonlinearStage(plant, None, DT_S, substeps).motion(command()).acceleration_m_s2

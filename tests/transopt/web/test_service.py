@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import transopt as to
+from tests.benches.actuators import nonlinear_scene
 from tests.benches.commands import captured
-from tests.benches.nonlinear_scene import stated
 from transopt.base.errors import InputError
 from transopt.design.build import build_library
 from transopt.library.columns import EntryTable
@@ -50,7 +50,7 @@ def test_the_table_is_the_librarys(name: str) -> None:
 
 
 def test_a_nonlinear_plant_is_refused(tmp_path: Path) -> None:
-    scene, library = stated(tmp_path), to.solve("lra_click")
+    scene, library = nonlinear_scene(tmp_path), to.solve("lra_click")
     with pytest.raises(InputError, match="this needs a linear plant"):
         opened(scene)
     of_nonlinear = replace(library, meta={**library.meta, "scene": to.load_scene(scene).model_dump(mode="json")})
