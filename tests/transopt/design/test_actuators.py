@@ -1,4 +1,4 @@
-"""Actuators that are no stylus on a motor: clicks of an LRA against an own formulation, other inputs, other words."""
+"""Actuators that are no stylus on a motor: clicks of an LRA against a dense program, other inputs, other words."""
 
 import json
 from dataclasses import replace
@@ -10,14 +10,15 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import problems
-from tests.benches.lra import Actuator, optimum
+from tests.benches import dense
+from tests.benches.libraries import proven_again
 from transopt.base.errors import InputError
 from transopt.design.build import Build, build_library
 from transopt.design.verify import verify_library
 from transopt.library.export import export_library
-from transopt.library.file import load_library
 from transopt.library.library import Library
 from transopt.library.proven import load_proven
+from transopt.plant.state_space import StateSpace
 from transopt.problem.answer import Status
 from transopt.report.comparison import Comparison
 from transopt.report.figures import bode_figure
@@ -46,63 +47,45 @@ def click() -> Build:
 
 
 @pytest.mark.parametrize("stroke_m", [0.1e-3, 0.2e-3, 0.3e-3, 0.6e-3])
-def test_a_click_is_the_optimum_of_an_own_dense_program(stroke_m: float) -> None:
-    scene = lra({"limits.stroke_m": stroke_m})
-    build = built(scene)
-    numbers = {name: getattr(scene.model, name) for name in Actuator.__dataclass_fields__}
-    for row in build.entries:
-        (entry,) = row
-        problem, grid = entry.problem, entry.problem.grid
-        kept = problem.limits["stroke"].stated - problem.limits["stroke"].kept_back
-        command, J = optimum(
-            Actuator(**numbers),
-            problem.target.continued_m_s2,
-            problem.terms[0].all_weights(0, grid.after_stages),
-            grid.dt_s,
-            grid.stages,
-            voltage_V=3.0,
-            stroke_m=kept,
-            rho=scene.weights.rho,
-            handed_over=scene.hand_over_samples,
-            parts=problem.parts["stroke"],
-        )
+def test_a_click_is_the_optimum_of_a_dense_program_and_keeps_its_stroke_at_all_times(stroke_m: float) -> None:
+    for (entry,) in built(lra({"limits.stroke_m": stroke_m})).entries:
+        problem, limit = entry.problem, entry.problem.limits["stroke"]
+        parts = problem.parts["stroke"]
+        rows, _ = dense.within(problem, "stroke", [j / parts for j in range(1, parts + 1)])
+        kept = np.full(rows.shape[0], limit.stated - limit.kept_back)
+        command, J = dense.optimum(problem, rows, -kept, kept)
         assert entry.certificate.objective == pytest.approx(J, rel=1e-6)
         assert np.abs(entry.solution.command - command).max() < 1e-2 * 3.0  # J is flat in the command
         assert entry.status is Status.OPTIMAL
-
-
-@pytest.mark.parametrize("stroke_m", [0.1e-3, 0.6e-3])
-def test_the_stroke_is_kept_at_all_times(stroke_m: float) -> None:
-    scene = lra({"limits.stroke_m": stroke_m})
-    numbers = {name: getattr(scene.model, name) for name in Actuator.__dataclass_fields__}
-    A, b = Actuator(**numbers).flow()
-    grid = scene.time_grid()
-    for (entry,) in built(scene).entries:
-        state, largest = np.zeros(5), 0.0
-        for held in entry.solution.command:
-            run = solve_ivp(
-                lambda _, x, held=held: A @ x + b * held,
-                (0.0, grid.dt_s),
-                state,
-                method="DOP853",
-                rtol=1e-10,
-                atol=1e-14,
-                t_eval=np.linspace(0.0, grid.dt_s, 21),
-            )
-            largest = max(largest, float(np.abs(run.y[2] - run.y[0]).max()))
-            state = run.y[:, -1]
+        largest = largest_stroke_m(problem.stage.plant, entry.solution.command, problem.grid.dt_s)
         assert largest <= stroke_m * (1 + 1e-6)
         if stroke_m == 0.1e-3:  # it binds, but for what is kept back for the time between the instants
             assert largest >= 0.98 * stroke_m
             assert "stroke" in entry.binding
 
 
+def largest_stroke_m(plant: StateSpace, command: np.ndarray, dt_s: float) -> float:
+    """Largest size of the position at 21 instants of every period, by DOP853 on the plant's matrices."""
+    state, largest = np.zeros(plant.order), 0.0
+    for held in command:
+        run = solve_ivp(
+            lambda _, x, held=held: plant.A @ x + plant.B[:, 0] * held,
+            (0.0, dt_s),
+            state,
+            method="DOP853",
+            rtol=1e-10,
+            atol=1e-14,
+            t_eval=np.linspace(0.0, dt_s, 21),
+        )
+        largest = max(largest, float(np.abs(plant.outputs["position"].row[0] @ run.y).max()))
+        state = run.y[:, -1]
+    return largest
+
+
 class TestLibrary:
     def test_it_is_read_back(self, click: Build, tmp_path: Path) -> None:
-        assert click.library is not None
-        path = tmp_path / "library.npz"
-        click.library.save(path)
-        with np.load(path, allow_pickle=False) as file:
+        proven_again(click.library, tmp_path)
+        with np.load(tmp_path / "library.npz", allow_pickle=False) as file:
             names, meta = set(file.files), json.loads(str(file["meta"]))
             assert file["targets"].tolist() == ["click 150 Hz", "click 250 Hz"]
         assert meta["schema"] == 4
@@ -116,30 +99,16 @@ class TestLibrary:
             "mu_stroke_lower",
         } <= names
         assert "mu_current_upper" not in names
-        again = load_proven(path)
-        np.testing.assert_array_equal(again.command, click.library.command)
-        assert again.content_sha256 == click.library.content_sha256
-        assert all(not check.shortfalls for check in verify_library(again))
 
     def test_a_changed_command_is_not_proven(self, click: Build, tmp_path: Path) -> None:
-        assert click.library is not None
         changed = click.library.command * 0.98
         replace(click.library, command=changed, transient_command=changed).save(tmp_path / "library.npz")
         with pytest.raises(InputError, match=r"above the optimum|is off by"):
             load_proven(tmp_path / "library.npz")
 
     def test_has_no_speeds_to_ask_for(self, click: Build) -> None:
-        assert click.library is not None
         with pytest.raises(InputError, match="no speeds but targets: ask for one of click 150 Hz, click 250 Hz"):
             click.library.at(0.2, 3.0)
-
-    def test_a_missing_array_is_named_as_in_the_file(self, click: Build, tmp_path: Path) -> None:
-        assert click.library is not None
-        arrays = click.library.arrays()
-        del arrays["command"]
-        np.savez(tmp_path / "library.npz", **arrays)  # type: ignore[arg-type]
-        with pytest.raises(InputError, match="array command is missing"):
-            load_library(tmp_path / "library.npz")
 
     def test_is_not_compared_with_currents(self, click: Build, library: Library) -> None:
         assert click.library is not None
@@ -369,7 +338,6 @@ class TestCurrentDriven:
             assert 119.995 < entry.played.winding_C <= 120.0 + 1e-3
             assert "coil" in entry.binding
             assert entry.unit == "A"
-        assert build.library is not None
         assert build.library.driven_by.unit == "A"
         assert all(not check.shortfalls for check in verify_library(build.library))
 
