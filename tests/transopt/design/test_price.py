@@ -107,15 +107,7 @@ def cases(scene: Scene, references: list[Reference]) -> dict[str, Case]:
     }
 
 
-NAMES = [
-    "current 4 A",
-    "current 2 A",
-    "command 3 A",
-    "supply 9 V",
-    "supply 6 V",
-    "coil 60.05 C",
-    "slew 0.5 A/tick",
-]
+NAMES = ["current 4 A", "current 2 A", "command 3 A", "supply 9 V", "supply 6 V", "coil 60.05 C", "slew 0.5 A/tick"]
 
 
 def solved(problem: TransientProblem) -> tuple[Designed, float, list[Price]]:

@@ -9,6 +9,8 @@ from transopt.design.verify import verify_library
 from transopt.library.library import Library
 from transopt.problem.answer import OBJECTIVE_SCALE, Status
 
+CLAIMS = ("duality_gap", "primal_violation")  # next to zero, so that a share of them is next to nothing
+
 
 def test_a_library_verifies_from_its_file_alone(library: Library) -> None:
     checks = verify_library(library)
@@ -20,25 +22,16 @@ def test_a_library_verifies_from_its_file_alone(library: Library) -> None:
     "field",
     [
         *("tap_error", "error_after", "heat_A2_s", "energy", "peak_input", "peak_temperature_C", "objective"),
-        *("plant_input", "acceleration_m_s2", "acceleration_after_m_s2"),
+        *("plant_input", "acceleration_m_s2", "acceleration_after_m_s2", "transient_command", "floor"),
+        *("duality_gap", "primal_violation"),
     ],
 )
-def test_a_figure_that_does_not_follow_from_the_waveform(library: Library, field: str) -> None:
+def test_what_does_not_follow_from_the_waveform(library: Library, field: str) -> None:
     changed = getattr(library, field).copy()
-    changed[1, 2] *= 1.01
-    checks = verify_library(replace(library, **{field: changed}))
-    failed = [check.cells for check in checks if check.shortfalls]
-    assert failed == [["0.2", "5"]]
-
-
-@pytest.mark.parametrize("field", ["transient_command", "floor", "duality_gap", "primal_violation"])
-def test_what_is_exported_and_claimed_is_checked_too(library: Library, field: str) -> None:
-    changed = getattr(library, field).copy()
-    changed[1, 2] = 10 * changed[1, 2] + 1e-3
-    checks = verify_library(replace(library, **{field: changed}))
-    (failed,) = [check for check in checks if check.shortfalls]
+    changed[1, 2] = 1.01 * changed[1, 2] + (1e-3 if field in CLAIMS else 0.0)
+    (failed,) = [check for check in verify_library(replace(library, **{field: changed})) if check.shortfalls]
     assert failed.cells == ["0.2", "5"]
-    assert field in failed.shortfalls[0]
+    assert field in " ".join(failed.shortfalls), failed.shortfalls
 
 
 @pytest.mark.parametrize("below", [0.02, 1e3, np.inf])

@@ -98,15 +98,10 @@ class TestBandwidth:
         circuit = Circuit(0.4 * 2 * L_H * switching_Hz, L_H, 0.0)
         check_bandwidth(Bridge(circuit, 7 * L_H * switching_Hz, switching_Hz, 2 * np.pi * share * switching_Hz * L_H))
 
-    def test_anywhere_in_the_range(self) -> None:
+    @pytest.mark.parametrize("bridges", [8, pytest.param(300, marks=pytest.mark.long)])
+    def test_anywhere_in_the_range(self, bridges: int) -> None:
         random = np.random.default_rng(11)
-        for _ in range(8):
-            check_bandwidth(drawn(random))
-
-    @pytest.mark.long
-    def test_anywhere_in_the_range_at_length(self) -> None:
-        random = np.random.default_rng(12)
-        for _ in range(300):
+        for _ in range(bridges):
             check_bandwidth(drawn(random))
 
     def test_with_eddy_currents(self) -> None:
@@ -168,15 +163,10 @@ class TestHeat:
         bridge = Bridge(circuit, 7.5 * L_H * switching_Hz, switching_Hz, 2 * np.pi * 0.05 * switching_Hz * L_H)
         check_heat(bridge, np.random.default_rng(3))
 
-    def test_a_tap_anywhere_in_the_range(self) -> None:
+    @pytest.mark.parametrize("bridges", [4, pytest.param(300, marks=pytest.mark.long)])
+    def test_a_tap_anywhere_in_the_range(self, bridges: int) -> None:
         random = np.random.default_rng(21)
-        for _ in range(4):
-            check_heat(drawn(random), random)
-
-    @pytest.mark.long
-    def test_a_tap_anywhere_in_the_range_at_length(self) -> None:
-        random = np.random.default_rng(22)
-        for _ in range(300):
+        for _ in range(bridges):
             check_heat(drawn(random), random)
 
     def test_no_steady_current_heats_more_than_is_counted(self) -> None:
@@ -206,47 +196,57 @@ class TestHeat:
         assert more == sorted(more, reverse=True)
 
 
+FAST = replace(RE_25, L_H=0.06e-3)
+
+
 class TestRefusals:
     """Each by name, with value, limit and what to do next, which then works."""
 
-    def refused(self, bridge: Callable[[], Bridge], *words: str) -> re.Match[str]:
+    @pytest.mark.parametrize(
+        ("refused", "words", "advised"),
+        [
+            pytest.param(
+                lambda: Bridge(RE_25, 24.0, 22.5e3, 5.0),
+                ("gain_V_A = 5 V/A", "3344 Hz", "at most 2250 Hz"),
+                lambda to: Bridge(RE_25, 24.0, 22.5e3, to),
+                id="a fast crossover",
+            ),
+            pytest.param(
+                lambda: Bridge(RE_25, 24.0, 10.5e3),
+                ("switching_Hz = 10500 Hz", "1.2 A peak to peak", "at most 1 A", "limits.supply_V to 20 V"),
+                lambda to: (Bridge(RE_25, 24.0, to), Bridge(RE_25, 20.0, 10.5e3)),
+                id="a large ripple",
+            ),
+            pytest.param(
+                lambda: Bridge(RE_25, 48.0, 20e3, 1.0, 40.0),
+                ("at most 1 A", " V,"),
+                lambda to: Bridge(RE_25, to, 20e3, 1.0, 40.0),
+                id="a ripple that no switching makes small",
+            ),
+            pytest.param(
+                lambda: Bridge(FAST, 6.0, 15e3),
+                ("33.3 us", "0.75 of", "27.5 us"),
+                lambda to: Bridge(FAST, 6.0, to),
+                id="a short time constant",
+            ),
+            pytest.param(
+                lambda: Bridge(RE_25, 6.0, 80e3, 1.5, RE_25.R_ohm),
+                ("R_eddy_ohm = 2.18 ohm: ",),  # below four times the winding's resistance
+                lambda to: Bridge(RE_25, 6.0, 80e3, 1.5, to),
+                id="eddy currents that short the winding",
+            ),
+        ],
+    )
+    def test_by_name_with_advice_that_works(
+        self, refused: Callable[[], object], words: tuple[str, ...], advised: Callable[[float], object]
+    ) -> None:
         with pytest.raises(InputError) as told:
-            bridge()
+            refused()
         for word in words:
             assert word in str(told.value)
-        found = re.search(r"(?:raise|lower) (?:it|limits\.supply_V) to ([\d.e+]+) (\S+?),", str(told.value))
-        assert found
-        return found
-
-    def test_a_fast_crossover(self) -> None:
-        advice = self.refused(
-            lambda: Bridge(RE_25, 24.0, 22.5e3, 5.0), "gain_V_A = 5 V/A", "3344 Hz", "at most 2250 Hz"
-        )
-        Bridge(RE_25, 24.0, 22.5e3, float(advice[1]))
-
-    def test_a_large_ripple(self) -> None:
-        words = ("switching_Hz = 10500 Hz", "1.2 A peak to peak", "at most 1 A", "limits.supply_V to 20 V")
-        advice = self.refused(lambda: Bridge(RE_25, 24.0, 10.5e3), *words)
-        Bridge(RE_25, 24.0, float(advice[1]))
-        Bridge(RE_25, 20.0, 10.5e3)
-
-    def test_a_ripple_that_no_switching_makes_small(self) -> None:
-        advice = self.refused(lambda: Bridge(RE_25, 48.0, 20e3, 1.0, 40.0), "at most 1 A")
-        assert advice[2] == "V"
-        Bridge(RE_25, float(advice[1]), 20e3, 1.0, 40.0)
-
-    def test_a_short_time_constant(self) -> None:
-        fast = replace(RE_25, L_H=0.06e-3)
-        advice = self.refused(lambda: Bridge(fast, 6.0, 15e3), "33.3 us", "0.75 of", "27.5 us")
-        Bridge(fast, 6.0, float(advice[1]))
-
-    def test_eddy_currents_that_short_the_winding(self) -> None:
-        """Below four times the winding's resistance; the value that the message names is taken."""
-        with pytest.raises(InputError, match=r"R_eddy_ohm = 2\.18 ohm: .* from ([\d.]+) ohm on") as told:
-            Bridge(RE_25, 6.0, 80e3, 1.5, RE_25.R_ohm)
-        named = re.search(r"from ([\d.]+) ohm on", str(told.value))
-        assert named
-        Bridge(RE_25, 6.0, 80e3, 1.5, float(named[1]))
+        found = re.search(r"(?:(?:raise|lower) (?:it|limits\.supply_V) to|from) ([\d.e+]+) \S+", str(told.value))
+        assert found, told.value
+        advised(float(found[1]))
 
     @pytest.mark.parametrize("L_H", [0.049e-3, 2.1e-3])
     def test_an_inductance_beyond_the_range(self, L_H: float) -> None:

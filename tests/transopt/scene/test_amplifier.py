@@ -30,9 +30,6 @@ def on_bridge(scene: Scene) -> Scene:
 class TestFollows:
     def test_pole_delay_and_heat_are_those_of_the_bridge(self, on_bridge: Scene) -> None:
         bridge, amplifier, coil = on_bridge.bridge(), on_bridge.amplifier_model(), on_bridge.coil()
-        assert bridge is not None
-        assert amplifier is not None
-        assert coil is not None
         assert (amplifier.pole_Hz, amplifier.delay_s) == (bridge.pole_Hz, bridge.delay_s)
         assert bridge.crossover_Hz == pytest.approx(2250.0)
         assert bridge.rail_V == 24.0
@@ -48,10 +45,8 @@ class TestFollows:
         assert poles[0] < poles[1] / 1.9 < poles[2] / 3.8
 
     def test_eddy_currents_are_the_motors(self, on_bridge: Scene) -> None:
-        assert on_bridge.motor is not None
         motor = {**on_bridge.motor.model_dump(), "R_eddy_ohm": 80.0}
         coil = with_values(on_bridge, {"motor": motor}).coil()
-        assert coil is not None
         assert coil.ripple_A == pytest.approx(24 * 2.18 / (2 * 82.18**2), rel=0.01)
 
     def test_a_stated_pole_and_delay_stand(self, scene: Scene, on_bridge: Scene) -> None:
@@ -60,7 +55,6 @@ class TestFollows:
         assert both.amplifier_model() == scene.amplifier_model()
         assert both.coil() == on_bridge.coil()
         late = with_values(on_bridge, {"amplifier.delay_s": 68e-6}).amplifier_model()
-        assert late is not None
         assert (late.pole_Hz, late.delay_s) == (on_bridge.bridge().pole_Hz, 68e-6)  # type: ignore[union-attr]
 
     def test_a_pole_in_a_model_file_stands(self, make: Make) -> None:
@@ -74,7 +68,6 @@ class TestFollows:
 
     def test_without_a_bridge_the_ripple_is_the_seeds(self, scene: Scene) -> None:
         coil = scene.coil()
-        assert coil is not None
         assert (coil.R_ohm, coil.ripple_A) == (2.18, PWM_RIPPLE_A)
 
     def test_its_file_says_the_same(self, on_bridge: Scene, tmp_path: Any) -> None:
@@ -93,7 +86,6 @@ class TestFollows:
         """Also where the coil binds, with the ripple of eddy currents."""
         changes: dict[str, Any] = {"grid.speeds_m_s": [0.4], "grid.grips_N": [3.0], "time.stages": 300}
         if hot:
-            assert on_bridge.motor is not None
             changes["motor"] = {**on_bridge.motor.model_dump(), "R_eddy_ohm": 80.0}
             changes |= {f"thermal.start_{part}_C": 99.9 for part in ("winding", "housing")}
         library = solve(with_values(on_bridge, changes))
@@ -109,8 +101,6 @@ REFUSED = [
         {"amplifier.pole_Hz": 900.0, "amplifier.delay_s": 0.0, "amplifier.gain_V_A": 1.0},
         r"gain_V_A: determines the pole, which is stated too: take one of them out",
     ),
-    ({"amplifier.gain_V_A": 5.0}, r"gain_V_A = 5 V/A: a crossover of 3344 Hz .* at most 2250 Hz"),
-    ({"amplifier.switching_Hz": 11e3}, r"switching_Hz = 11000 Hz: a ripple of 1\.1\d A .* at most 1 A"),
     ({"amplifier.switching_Hz": 9e3}, r"switching_Hz = 9000\.0: must be greater than or equal to 10000"),
     ({"amplifier.switching_Hz": 110e3}, r"switching_Hz = 110000\.0: must be less than or equal to 100000"),
 ]
