@@ -1,7 +1,6 @@
-"""Grid refinement: the rule for references between recordings, and the error between the nodes."""
+"""Grid refinement: the error of blends between the nodes, the nodes that it adds, and what is written of them."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,6 @@ from transopt.design.verify import verify_library
 from transopt.library.file import load_library
 from transopt.library.library import Library
 from transopt.recordings.recording import Recording
-from transopt.references.reference import Reference
 from transopt.references.references import References
 from transopt.report.markdown import build_markdown
 from transopt.report.report_json import build_json
@@ -42,47 +40,6 @@ def refinement(scene: Scene, taps: list[Recording]) -> Refinement:
 @pytest.fixture(scope="module")
 def refined(scene: Scene, taps: list[Recording], refinement: Refinement) -> Build:
     return build_library(scene, taps, refinement=refinement)
-
-
-class TestBetween:
-    def test_recorded_speeds_are_themselves(self, references: list[Reference]) -> None:
-        for reference in references:
-            assert References(tuple(references)).at(reference.speed_m_s, 3.0) is reference
-
-    def test_shape_is_linear_in_speed(self, references: list[Reference]) -> None:
-        slow, fast = references[:2]
-        middle = References(tuple(references)).at(0.15, 3.0)
-        for name in ("recorded_m_s2", "free_m_s2", "nominal_position_m", "nominal_velocity_m_s"):
-            of_slow, of_middle, of_fast = (getattr(r, name) / r.speed_m_s for r in (slow, middle, fast))
-            np.testing.assert_allclose(of_middle, (of_slow + of_fast) / 2, rtol=1e-12, atol=1e-12)
-        assert middle.between_m_s == (0.1, 0.2)
-
-    def test_it_is_a_reference_of_its_speed(self, scene: Scene, references: list[Reference]) -> None:
-        """z_nom integrates a_free from dz/dt = -v."""
-        reference, grid = References(tuple(references)).at(0.33, 3.0), scene.time_grid()
-        tau, v = grid.switching_times_s, reference.nominal_velocity_m_s
-        user = reference.free_m_s2
-        mean = (user[1:] + user[:-1]) / 2
-        np.testing.assert_allclose(np.diff(v), mean * np.diff(tau), atol=2e-2 * np.abs(np.diff(v)).max())
-        assert np.interp(0.0, tau, v) == pytest.approx(-0.33, rel=1e-9, abs=1e-3)
-        assert np.interp(0.0, tau, reference.nominal_position_m) == pytest.approx(0.0, abs=1e-6)
-        ticks = np.interp(tau[:-1], grid.all_issue_times_s, reference.nominal_position_at_ticks_m)
-        np.testing.assert_allclose(ticks, reference.nominal_position_m[:-1], atol=1e-6)
-
-    def test_repeatability_and_taps_of_both_neighbours(self, references: list[Reference]) -> None:
-        slow, fast = references[2:]
-        reference = References(tuple(references)).at(0.36, 3.0)
-        assert reference.repeatability == max(slow.repeatability, fast.repeatability)
-        assert reference.taps == slow.taps + fast.taps
-        np.testing.assert_allclose(reference.factors[:3], 1.2 * slow.factors)
-        np.testing.assert_allclose(reference.factors[3:], 0.9 * fast.factors)
-        once = replace(slow, repeatability=float("nan"))
-        assert np.isnan(References((once, fast)).at(0.36, 3.0).repeatability)
-
-    @pytest.mark.parametrize("speed", [0.05, 0.41, float("nan")])
-    def test_outside_the_recorded_speeds(self, references: list[Reference], speed: float) -> None:
-        with pytest.raises(InputError, match=r"known from 0\.1 to 0\.4 m/s only"):
-            References(tuple(references)).at(speed, 3.0)
 
 
 class TestTolerance:

@@ -133,9 +133,22 @@ class TestMissing:
                 wanted.taps,
             )
 
-    def test_outside_of_the_speeds_nothing_is_known(self, whole: References) -> None:
-        with pytest.raises(InputError, match=r"speed 0.5 m/s: references are known from 0.1 to 0.4 m/s only"):
-            whole.at(0.5, 3.0)
+    def test_repeatability_and_taps_are_those_of_both_neighbours(self, references: list[Reference]) -> None:
+        slow, fast = references[2:]
+        between = References(tuple(references)).at(0.36, 3.0)
+        assert between.repeatability == max(slow.repeatability, fast.repeatability)
+        assert between.taps == slow.taps + fast.taps
+        np.testing.assert_allclose(between.factors[:3], 1.2 * slow.factors)
+        np.testing.assert_allclose(between.factors[3:], 0.9 * fast.factors)
+        once = replace(slow, repeatability=float("nan"))
+        assert np.isnan(References((once, fast)).at(0.36, 3.0).repeatability)
+
+    @pytest.mark.parametrize("speed_m_s", [0.05, 0.41, 0.5, float("nan")])
+    def test_outside_of_the_speeds_nothing_is_known(self, whole: References, speed_m_s: float) -> None:
+        with pytest.raises(
+            InputError, match=rf"speed {speed_m_s:g} m/s: references are known from 0.1 to 0.4 m/s only"
+        ):
+            whole.at(speed_m_s, 3.0)
         with pytest.raises(InputError, match="no speed"):
             References().at(0.2, 3.0)
 
