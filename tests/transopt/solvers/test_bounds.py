@@ -1,5 +1,6 @@
-"""Every certified answer lies above the lower bound that is stated beside it, where the temperature binds too."""
+"""Bounds on J, below which no certified answer lies, and bounds of limits, which have to be numbers."""
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -7,13 +8,18 @@ import pytest
 
 from problems.stress.cases import StressCase
 from problems.stress.parts import Coil, Current, Demand, Horizon
+from tests.conftest import ProblemMaker
+from transopt.base.errors import InputError
 from transopt.design.optimum import optimum
 from transopt.problem.answer import Certificate
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import relaxed_bound
 from transopt.proof.effect import Effect
+from transopt.solvers import choose
 from transopt.solvers.choose import global_bound
+from transopt.solvers.native import extension
 from transopt.solvers.options import SolverOptions
+from transopt.solvers.stage_data import stages
 
 # What an answer may lie below the optimum that it is proven to be: it may leave its limits by a millionth.
 ROUNDING = 1e-8
@@ -86,3 +92,31 @@ def test_the_bound_of_a_cooler_limit_is_too_high_for_the_stated_one() -> None:
     assert thermal is not None
     less = replace(thermal.model, headroom_K=0.98 * thermal.model.headroom_K)
     assert global_bound(problem.replaced(replace(thermal, model=less)), SolverOptions()) > proof.objective
+
+
+@pytest.mark.skipif(not extension.available, reason="the extension is not built")
+class TestLimits:
+    """What no value can lie between is refused, by the extension and by the statement of the other methods."""
+
+    @pytest.mark.parametrize(
+        ("name", "value"),
+        [("upper", np.nan), ("lower", np.nan), ("upper", -2.0), ("upper", -np.inf), ("lower", np.inf)],
+    )
+    def test_are_refused_by_name_and_stage(self, make_problem: ProblemMaker, name: str, value: float) -> None:
+        given = stages(make_problem(0.4, 5.0))
+        row = given.limits.kinds.index("current")
+        bounds = getattr(given.limits, name).copy()
+        bounds[7, row] = value
+        limits = replace(given.limits, **{name: bounds})
+        broken = replace(given, limits=limits, arrays=given.arrays | {name: bounds})
+        with pytest.raises(InputError, match=r"limit current: bounds .* at stage 7, .* must be numbers"):
+            extension.interior_points([given, broken], tolerance=1e-9, max_iterations=9)
+
+    @pytest.mark.parametrize("solver", ["riccati", "casadi-piqp", "casadi-ipopt"])
+    def test_are_refused_by_every_method(self, make_problem: ProblemMaker, solver: str) -> None:
+        problem = make_problem(0.4, 5.0)
+        limit = copy(problem.limits["current"])
+        object.__setattr__(limit, "limit", float("nan"))  # whatever a limit's own checks let through
+        problem = problem.replaced(limit)
+        with pytest.raises(InputError, match=r"limit .*bounds nan and nan at stage"):
+            choose.SOLVERS[solver].method([problem], SolverOptions(solver))

@@ -5,7 +5,6 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -350,33 +349,6 @@ class TestSideBySide:
             assert proof.objective == pytest.approx(wanted.objective, rel=1e-9)
             assert proof.relative_gap == pytest.approx(wanted.relative_gap, abs=1e-9)
             assert proof.excess == pytest.approx(wanted.excess, abs=1e-6)
-
-
-class TestBounds:
-    """What no value can lie between is refused, by the extension and by the statement of the other methods."""
-
-    @pytest.mark.parametrize(
-        ("name", "value"),
-        [("upper", np.nan), ("lower", np.nan), ("upper", -2.0), ("upper", -np.inf), ("lower", np.inf)],
-    )
-    def test_are_refused_by_name_and_stage(self, make_problem: ProblemMaker, name: str, value: float) -> None:
-        given = stages(make_problem(0.4, 5.0))
-        row = given.limits.kinds.index("current")
-        bounds = getattr(given.limits, name).copy()
-        bounds[7, row] = value
-        limits = replace(given.limits, **{name: bounds})
-        broken = replace(given, limits=limits, arrays=given.arrays | {name: bounds})
-        with pytest.raises(InputError, match=r"limit current: bounds .* at stage 7, .* must be numbers"):
-            extension.interior_points([given, broken], tolerance=1e-9, max_iterations=9)
-
-    @pytest.mark.parametrize("solver", ["riccati", "casadi-piqp", "casadi-ipopt"])
-    def test_are_refused_by_every_method(self, make_problem: ProblemMaker, solver: str) -> None:
-        problem = make_problem(0.4, 5.0)
-        limit = copy(problem.limits["current"])
-        object.__setattr__(limit, "limit", float("nan"))  # whatever a limit's own checks let through
-        problem = problem.replaced(limit)
-        with pytest.raises(InputError, match=r"limit .*bounds nan and nan at stage"):
-            choose.SOLVERS[solver].method([problem], SolverOptions(solver))
 
 
 class Stopped(Exception):  # noqa: N818 - not an error
