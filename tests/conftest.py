@@ -208,7 +208,6 @@ def walled(scene: Scene, references: list[Reference]) -> WalledMaker:
         reference = next(r for r in references if r.speed_m_s == speed_m_s)
         reference = without_slow_part(reference, varied.time_grid())
         problem = Context(varied).posed_as(reference, grip_N).problem
-        assert problem.wall is not None
         wall = replace(problem.wall.wall, stiffness_N_m=stiffness_N_m)
         return replace(problem, wall=replace(problem.wall, wall=wall))
 

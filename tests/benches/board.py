@@ -87,7 +87,6 @@ def emulated(image: Path, baud: int = 0) -> Iterator[Emulated]:
         [*command, "-kernel", str(image)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     ) as running:
         try:
-            assert running.stdout is not None
             names: list[str] = []
             while len(names) < 3 and (said := running.stdout.readline()):
                 names += re.findall(r"redirected to (\S+)", said)

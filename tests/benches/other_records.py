@@ -276,7 +276,6 @@ def tap_commands() -> dict[tuple[float, float], FloatArray]:
 
     scene = builtin.load_scene("wood_on_foam")
     library = build_library(scene, recordings_of(scene)).library
-    assert library is not None
     return {
         (float(speed), float(grip)): np.array(library.command[iv, ig])
         for iv, speed in enumerate(library.speeds_m_s)

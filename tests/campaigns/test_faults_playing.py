@@ -162,7 +162,6 @@ def tapped(given: Payload, world: Broken, speed_m_s: float, single: bool) -> See
     assert isinstance(talker.configure(given.configuration), m.Done)
     talker.loaded(given.image)
     amplifier = given.settings.amplifier
-    assert amplifier is not None
     keep = math.exp(-amplifier.rate_rad_s * DT_S)
     seen, expected, begun = Seen(None, [], [], []), 0.0, False
     armed = m.Arm(0, 1000, 1.0, sha256(given.configuration), sha256(given.image))

@@ -73,7 +73,6 @@ def read_program(program: Path) -> tuple[dict[int, Instruction], int]:
     ).stdout
     found = re.findall(r"^ +([0-9a-f]+):\t([0-9a-f ]+)\t([\w.]+)\s*(.*)$", listing, re.MULTILINE)
     begins = re.search(rf"^([0-9a-f]+) <{ROOT}>:", listing, re.MULTILINE)
-    assert begins is not None
     table = {
         int(at, 16): (len(code.replace(" ", "")) // 2, name, cycles(name, rest)) for at, code, name, rest in found
     }

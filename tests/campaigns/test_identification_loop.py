@@ -337,7 +337,6 @@ def test_recorded_files_give_the_library_of_the_simulated_object(library: Librar
     scene = problems.load(path)
     assert scene.recordings.simulated is None
     again = build_library(scene, read_recordings(scene.recordings)).library
-    assert again is not None
     # The files round accelerations to 1e-4 g and speeds to 1e-4 m/s.
     np.testing.assert_allclose(again.recorded_m_s2, library.recorded_m_s2, atol=0.2)
     np.testing.assert_allclose(again.tap_error, library.tap_error, atol=2e-3)

@@ -220,7 +220,6 @@ def known(own: Own, seed: int) -> str:
         },
     )
     library = build_library(scene, recordings_of(scene)).library
-    assert library is not None
     library.save(Path("known.npz"))
     where = ["known.npz", "--device", "device.toml", "--port", "desk"]
     with at_the_desk(world, opened(world)):

@@ -251,7 +251,6 @@ def end_all(process: "subprocess.Popen[bytes]") -> None:
         except ProcessLookupError:
             continue
     process.wait()
-    assert process.stdin is not None
     process.stdin.close()
 
 

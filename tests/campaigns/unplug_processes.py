@@ -208,8 +208,6 @@ class Host:
         """Kill it if it still runs; what it said on standard error."""
         self.process.kill()
         self._thread.join()
-        assert self.process.stderr is not None
-        assert self.process.stdout is not None
         said = self.process.stderr.read()
         self.process.wait()
         self.process.stderr.close()

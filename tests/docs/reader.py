@@ -98,7 +98,6 @@ class Reader:
         program = Path(sys.executable).parent / "transopt-device"
         command = [str(program), option, "--like", "wood_on_foam", "--vouches"]
         with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as device:
-            assert device.stdout is not None
             try:
                 yield device.stdout.readline().strip()
             finally:

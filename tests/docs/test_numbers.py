@@ -93,7 +93,6 @@ def peaks(name: str) -> tuple[float, float]:
 
 def continuous_A() -> tuple[float]:
     motor = scene().motor
-    assert motor is not None
     return (motor.i_continuous_A,)
 
 

@@ -125,7 +125,6 @@ class TestWhatEachSceneShows:
 
     def test_ideal_amplifier_costs_nothing_that_is_planned_for(self) -> None:
         ideal, real = built("ideal_amplifier"), built("wood_on_foam")
-        assert ideal.library is not None
         assert ideal.library.amplifier() is None
         assert all(not check.shortfalls for check in verify_library(ideal.library))
         ours, theirs = by_node(ideal, "figures"), by_node(real, "figures")
@@ -159,7 +158,6 @@ class TestWhatEachSceneShows:
         for entry in hot:
             assert entry.played.winding_C == pytest.approx(90.03, abs=1e-3)
             assert entry.certificate.relative_bound <= 2e-3
-            assert entry.size is not None
             assert entry.size.states == 12
             price = next(price for price in entry.prices if price.limit == "coil")
             assert price.then < price.tap_error - 0.01
@@ -190,7 +188,6 @@ class TestWhatEachSceneShows:
     def test_walled_hands_over_to_its_wall(self) -> None:
         build = built("walled")
         library = build.library
-        assert library is not None
         h = build.scene.hand_over_samples
         assert not library.transient_command[..., -h:].any()
         # What is left at the end is the spring: 0.1 to 0.6 A, more for faster taps, which go deeper.
@@ -201,8 +198,6 @@ class TestWhatEachSceneShows:
 
     def test_single_grip_is_one_column_of_the_default_scene(self) -> None:
         library, default = built("single_grip").library, built("wood_on_foam").library
-        assert library is not None
-        assert default is not None
         assert library.command.shape[:2] == (4, 1)
         np.testing.assert_allclose(library.command[:, 0], default.command[:, 1], atol=1e-6)
 
@@ -238,7 +233,6 @@ class TestMotors:
         """R_th (i^2 R + friction) = rise; at standstill, where a haptic device works, friction is nothing."""
         motor = self.load(path)
         coil = load("wood_on_foam").model_copy(update={"motor": motor}).coil()
-        assert coil is not None
         still_A = coil.continuous_current_A()
         volts, idle_A, idle_rpm, nominal_rpm = FRICTION[path.stem]
         allowed_W = (motor.winding_max_C - 25) / (motor.R_wh_K_W + motor.R_ha_K_W)

@@ -252,7 +252,6 @@ class TestJudge:
 
     def test_no_current_heats_less_than_the_ripple(self) -> None:
         warm = StressCase("start", horizon=Horizon(stages=SHORT), coil=Coil(below_K=1e-6)).problem()
-        assert warm.thermal is not None
         model = replace(warm.thermal.model, headroom_K=np.full_like(warm.thermal.model.headroom_K, -1.0))
         hot = warm.replaced(replace(warm.thermal, model=model))
         assert admits_a_command(hot) == Verdict("", decided=True)
@@ -343,8 +342,6 @@ def test_what_a_yielding_hand_does_by_itself_is_not_asked_of_the_motor() -> None
     speed_m_s, braking_s = plain.demand.speed_m_s, 60e-3
     given = found.target.free_window_m_s2[late]
     assert np.all((given > 0) & (given <= speed_m_s / braking_s * (1 + 1e-9)))
-    assert found.wall is not None
-    assert straight.wall is not None
     way = found.wall.nominal_m - straight.wall.nominal_m
     assert np.all(np.diff(way) >= 0)
     assert way[-1] > 0

@@ -77,7 +77,6 @@ class TestJudge:
         self, short_case: Any, hot_problem: TransientProblem
     ) -> None:
         verdict = cases.judge(hot_problem, short_case.optimum.command_A, short_case.optimum.objective)
-        assert hot_problem.thermal is not None
         motion = hot_problem.stage.motion(short_case.optimum.command_A)
         hottest = hot_problem.thermal.temperatures_C(motion.plant_input, short_case.optimum.command_A).max()
         assert verdict.violation == pytest.approx((hottest - hot_problem.thermal.limit_C) / 0.02, rel=1e-3)

@@ -42,7 +42,6 @@ def test_random_blends_of_what_is_stored_keep_the_limits(library: Library, bits:
 def test_a_warm_coil_plays_a_cool_command_where_it_scaled_the_first(library: Library) -> None:
     """Half a minute is enough where less than a kelvin is left."""
     coil = library.coil()
-    assert coil is not None
     meta = {**library.meta, "scene": {**library.meta["scene"]}}
     meta["scene"]["thermal"] = {**meta["scene"]["thermal"], "start_winding_C": 94.9, "start_housing_C": 94.0}
     warm = replace(library, meta=meta)

@@ -128,8 +128,6 @@ def test_printed_scales_bring_a_current_there_and_back(name: str) -> None:
     for wanted_A in (-4.0, -0.1, 0.0, 2.5):
         pin_V = (s.output_zero + wanted_A * s.output_per_A) * V_per_count
         if circuit.servo is not None:
-            assert s.command is not None
-            assert s.monitor is not None
             flowing_A = shifted(dict(s.command.parts), pin_V) / circuit.servo.input_V_A
             read_V = divided(dict(s.monitor.parts), flowing_A * circuit.servo.monitor_V_A)
         else:
@@ -152,7 +150,6 @@ def settled(name: str, pin_V: float, off: tuple[float, ...] = (0.0,) * 5) -> tup
     """
     built, _ = load_circuit(CIRCUITS[name])
     bridge, closed = built.circuit.bridge, built.scales.loop
-    assert bridge is not None
     assert closed is not None
     halves = [("middle", "ref", 1e4 * (1 + off[0])), ("middle", GROUND, 1e4 * (1 + off[1]))]
     middle = float(nodal(halves, {"ref": SUPPLY_V}, {})["middle"].real)
@@ -173,7 +170,6 @@ def settled(name: str, pin_V: float, off: tuple[float, ...] = (0.0,) * 5) -> tup
 def test_tolerances_of_a_bridge_are_reached_at_a_corner_and_never_passed() -> None:
     built, _ = load_circuit(CIRCUITS["bridge_re40"])
     s, circuit = built.scales, built.circuit
-    assert circuit.bridge is not None
     V_per_count, one = SUPPLY_V / 4096, 1.0
     sizes = (*[circuit.resistors] * 4, circuit.bridge.sense_tolerance)
     gains, zeros, read = [], [], []
@@ -196,8 +192,6 @@ def test_the_loop_of_a_bridge_is_one_pole_where_it_says() -> None:
     """Open loop by its nodes: PI stage, bridge and winding are an integrator that crosses one at the pole."""
     built, _ = load_circuit(CIRCUITS["bridge_re40"])
     bridge, closed, motor = built.circuit.bridge, built.scales.loop, built.motor
-    assert bridge is not None
-    assert closed is not None
     for part in (0.3, 1.0, 3.0):
         s = 2j * np.pi * closed.pole_Hz * part
         feedback = closed.R9_ohm + 1 / (s * closed.C1_F)
@@ -239,7 +233,6 @@ def test_series_are_those_of_the_standard() -> None:
 def test_a_wire_that_is_off_is_told_from_a_current() -> None:
     """Equal resistors: nothing holds the pin but the reference, which is no number to the port."""
     built, _ = load_circuit(CIRCUITS["escon_re25"])
-    assert built.scales.monitor is not None
     assert "R6" not in built.scales.monitor.parts
     assert built.scales.open_A is None
     assert built.scales.current.most < 4095
@@ -253,7 +246,6 @@ def test_a_monitor_of_more_volts_is_made_narrower_and_its_open_wire_reads_a_curr
     )
     built, _ = load_circuit(path)
     s = built.scales
-    assert s.monitor is not None
     assert "R6" in s.monitor.parts
     # Nothing comes by R4 of a wire that is off.
     off_V = nodal(
@@ -272,8 +264,6 @@ def test_the_scene_is_one_and_takes_what_the_block_takes(tmp_path: Path) -> None
         (tmp_path / "scene.toml").write_text(text)
         scene = load_scene(tmp_path / "scene.toml")
         amplifier, coil = scene.amplifier_model(), scene.coil()
-        assert amplifier is not None
-        assert coil is not None
         assert scene.limits.transient_input == built.hardware.current_A
         assert amplifier.command_limit == built.hardware.command_A
         assert built.hardware.pole_least_Hz < amplifier.pole_Hz < built.hardware.pole_most_Hz

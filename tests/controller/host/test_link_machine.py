@@ -86,7 +86,6 @@ class Trials(RuleBasedStateMachine):
         world = self.world
         for news in world.told[self.told :]:
             if isinstance(news, Happened):
-                assert world.session.device is not None
                 told = self.numbers.setdefault(world.session.device.boot, set())
                 if news.number in told:
                     # Only by another process, before this one.

@@ -97,7 +97,6 @@ def test_the_clock_is_found_within_its_stated_error(drift: float) -> None:
     world.readings = lambda k: Readings(round(k * (1 + drift)) + 5000, 200, 3.0, 0.0, 0.0)
     world.connected().run(7.0)
     fit = world.session.clock
-    assert fit is not None
     true_tick = (world.device_tick - 1) * (1 + drift) + 5000
     assert abs(fit.tick(world.now_s) - true_tick) * DT_S <= fit.error_s
     assert fit.error_s < 0.005

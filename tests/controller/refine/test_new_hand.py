@@ -85,14 +85,11 @@ def test_three_taps_come_near_to_who_knows_the_hand(
     model = tmp_path / "model.json"
     save_model(model, small.scene(), found.device)
     ours, as_recorded = (built_on(small, model, as_recorded=kept).library for kept in (False, True))
-    assert ours is not None
-    assert as_recorded is not None
     known_file = tmp_path / "known.json"
     known_hand = {name: vars(getattr(truth.model.hand.hand(), name)) for name in type(truth.model.hand).model_fields}
     true_device = drive_of(small.scene()).model_dump() | {"hand": known_hand}
     save_model(known_file, small.scene(), type(found.device).model_validate(true_device))
     knows = built_on(small, known_file, as_recorded=True).library
-    assert knows is not None
     # For the same target the two designs are the same but for what three taps leave open.
     assert as_recorded.command == pytest.approx(knows.command, abs=0.05 * np.abs(knows.command).max())
     # A certified library like any other, with the recordings' sources and the new model's.
@@ -117,9 +114,7 @@ def test_a_library_for_a_population_becomes_one_for_what_the_taps_leave_open(
     found, _ = calibrated(*tapped, small, population, 2500.0, [])
     save_model(tmp_path / "model.json", library.scene(), found.device)
     made = built_on(library, tmp_path / "model.json").library
-    assert made is not None
     stated = made.scene().robust
-    assert stated is not None
     assert (stated.population, stated.model_uncertainty) == (None, True)
     # The devices that it serves lie around the hand, nearer than those of the population lie around theirs.
     wide, near = (np.abs(each.spread_A - each.plant_A[:, None]).max() for each in (library, made))
@@ -170,7 +165,6 @@ class TestCommand:
         for words in ("the hand by 3 taps", "skin_stiffness_N_m", "better than the library that was played"):
             assert words in outcome.out
         device = load_model(Path("hand/model.json")).device
-        assert device is not None
         assert "on a drive that is taken as known" in device.verdict
         assert device.sources[0].file == "small.npz"
         made = load_library(Path("hand/library.npz"))

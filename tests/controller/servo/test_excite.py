@@ -151,7 +151,6 @@ def test_the_heat_allows_all_of_it_or_none() -> None:
     bench = ServoBench(replace(SETTINGS, coil=hot), excitation(), still)
     bench.servo.arm()
     guard, play = bench.servo.guard, bench.servo.bank.at(1.0, 0.0)
-    assert guard is not None
     assert 0.0 < guard.scale(play.transient_A, 0.0, SAMPLES + 1) < 1.0
     assert not bench.servo.excite()
     assert bench.servo.state is State.ARMED

@@ -95,7 +95,6 @@ def test_over_temperature_needs_cooling_before_the_reset(stated: Settings, table
     bench = Bench(stated, tables)
     bench.servo.arm()
     guard = bench.servo.guard
-    assert guard is not None
     bench.run(CONTACT + 20)
     for hot in (100.001, NAN):
         guard.winding_C = hot
@@ -115,12 +114,10 @@ def test_over_temperature_needs_cooling_before_the_reset(stated: Settings, table
 def test_a_current_that_nobody_commands_is_booked_in_full(stated: Settings, tables: Bank) -> None:
     """A shorted amplifier goes on heating in FAULT: the guard follows the coil, and the reset waits for it."""
     coil = stated.coil
-    assert coil is not None
     bench = Bench(stated, tables)
     bench.change = {"current_A": 20.0}
     bench.run(10_000)
     winding, _ = coil.simulate(np.full((1, 100), 20.02**2), np.full(100, 1e-2))
-    assert bench.servo.guard is not None
     assert bench.servo.guard.winding_C >= winding[0, -1] - 1.0
     bench.change = {}
     bench.run(10)
@@ -132,7 +129,6 @@ def test_a_current_that_cannot_be_read_is_booked_as_too_much(stated: Settings, t
     bench = Bench(stated, tables)
     bench.change = {"current_A": float("nan")}
     bench.run(10_000)
-    assert bench.servo.guard is not None
     assert bench.servo.guard.winding_C > 35
 
 

@@ -88,6 +88,5 @@ def test_a_longer_delay_is_refused_with_a_period_at_which_it_is_not() -> None:
     with pytest.raises(InputError, match=words) as refused:
         stated(1e-4, DELAY_TICKS + 1)
     named = re.search(r"time\.dt_s of ([\d.e-]+) s", str(refused.value))
-    assert named is not None
     dt_s = float(named[1])
     assert stated(dt_s, 5e-4 / dt_s).late_ticks == DELAY_TICKS

@@ -53,7 +53,6 @@ def test_phase_is_exact_resampling_of_the_held_commands(
     assert due == pytest.approx(CONTACT + part - 3, abs=0.2)
     started = bench.tick - 1
     bench.run(900)
-    assert bench.servo.play is not None
     samples = np.array(bench.servo.play.samples_A)
     charge = np.concatenate([[0.0], np.cumsum(samples)])
     ticks = np.arange(len(bench.outputs) + 1)
@@ -111,7 +110,6 @@ def test_a_cut_leaves_no_windup(stated: Settings, library: Library) -> None:
 
 def test_near_its_limit_the_coil_gets_feedback_but_no_transient(bench: Bench) -> None:
     guard = bench.servo.guard
-    assert guard is not None
     guard.winding_C = guard.housing_C = 95.5
     bench.run(CONTACT + 200)
     assert bench.events() == [Notice.TOO_HOT_TO_PLAY]
@@ -121,13 +119,11 @@ def test_near_its_limit_the_coil_gets_feedback_but_no_transient(bench: Bench) ->
 
 def test_a_transient_is_scaled_to_the_coils_margin(bench: Bench) -> None:
     guard = bench.servo.guard
-    assert guard is not None
     guard.winding_C = guard.housing_C = 94.8
     bench.run(CONTACT + 200)
     assert bench.events() == [Notice.CONTACT, Notice.SCALED_FOR_HEAT]
     assert 0.25 <= bench.servo.scale < 1.0
     play = bench.servo.play
-    assert play is not None
     peak = max(abs(output.transient_A) for output in bench.outputs)
     assert peak == pytest.approx(bench.servo.scale * max(map(abs, play.samples_A)), rel=0.05)
 
@@ -247,7 +243,6 @@ def test_a_device_without_grip_sensor_plays_the_assumed_grip(stated: Settings, t
     bench.grip_N = NAN
     bench.run(CONTACT + 900)
     assert bench.events() == [Notice.CONTACT, Notice.FINISHED]
-    assert bench.servo.play is not None
     assert bench.servo.play.grip_N == 3.0
 
 

@@ -34,7 +34,6 @@ def servo_at(library: Library, left: float) -> Servo:
     """A servo whose coil may take this part of the first transient's norm."""
     given = payload_of(library)
     servo = Servo(given.settings, bank_of(given.image)[0])
-    assert servo.guard is not None
     play = servo.bank.at(SPEED_M_S, GRIP_N)
     rise_K = servo.guard.rise_K(left * play.transient_A, play.feedback_A, len(play.samples_A) + 1, 1.0)
     servo.guard.winding_C = servo.guard.housing_C = servo.guard.play_limit_C - rise_K
@@ -61,7 +60,6 @@ def test_what_is_played_is_the_prediction_of_the_blend(cooled: Library, left: fl
 
 
 def test_methods_that_blend_the_library_carry_its_second_commands(cooled: Library) -> None:
-    assert cooled.cool is not None
     for method in Method:
         table = bank(cooled, method)
         assert (table.cool_command_A is not None) == (method in (Method.BILINEAR, Method.NEAREST, Method.BLIND))

@@ -165,7 +165,6 @@ class TestAmplifier:
     @pytest.mark.parametrize("delay_s", [0.0, 1e-6, 68e-6, 99.9e-6, 1e-4, 168e-6, 2.5e-4])
     def test_delay_to_a_fraction_of_a_tick(self, scene: Scene, delay_s: float) -> None:
         amplifier = scene.amplifier_model()
-        assert amplifier is not None
         device = replace(device_of(scene), amplifier=replace(amplifier, delay_s=delay_s))
         trace = play(Simulator(device, still(), DT, trace=True), np.ones(20))
         since = np.maximum(trace.times_s - delay_s, 0.0)

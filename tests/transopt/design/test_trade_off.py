@@ -52,7 +52,6 @@ def test_the_waveform_of_both_objectives_is_the_same(cut: Build, scene: Scene, t
 
 
 def test_a_library_of_the_objective_has_the_energy(louder: Build) -> None:
-    assert louder.library is not None
     np.testing.assert_allclose(louder.library.energy_dB, 0.0, atol=0.011)
     prices = np.array([[entry.problem.intensity for entry in row] for row in louder.entries])
     np.testing.assert_array_equal(louder.library.intensity, prices)

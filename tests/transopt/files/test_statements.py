@@ -38,5 +38,4 @@ def test_an_empty_unit_between_commas_keeps_its_place() -> None:
 )
 def test_columns_of_blanks_do_not_hide_a_rate(line: str) -> None:
     found = rate_of([line])
-    assert found is not None
     assert found.step_s == pytest.approx(1e-3, rel=1e-12)

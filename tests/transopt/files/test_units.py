@@ -74,7 +74,6 @@ def test_what_is_no_unit_of_a_quantity_is_none(quantity: str, units: str) -> Non
 )
 def test_a_response_is_an_acceleration_over_an_input(unit: str, factor: float, per: str) -> None:
     found = read_unit(unit, "magnitude")
-    assert found is not None
     assert found.per == per
     assert found.factor == pytest.approx(factor, rel=1e-12)
 

@@ -209,7 +209,6 @@ def test_the_command_refuses_its_options(tmp_path: Path) -> None:
 def test_the_ripple_is_that_of_the_amplifier_that_heated() -> None:
     """Heated without ripple but fitted with the default one, a coil seems better cooled than it is."""
     run = measured(cooling_s=1500.0)
-    assert run.current is not None
     ideal = replace(run, current=replace(run.current, values=np.abs(run.current.values) + 0.02))  # ripple and all
     right, wrong = (fit_coil(heat_record(ideal, R_OHM, ripple), NOMINAL, starts=1) for ripple in (0.0, 0.02))
     total = [fit.coil.R_wh_K_W + fit.coil.R_ha_K_W for fit in (right, wrong)]

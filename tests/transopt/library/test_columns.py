@@ -53,7 +53,6 @@ def printed(table: Table) -> list[str]:
 
 
 def test_every_rendering_of_an_entry_prints_the_same_cells(build: to.Build) -> None:
-    assert build.library is not None
     shown = build.table(FULL)
     (cells,) = shown.cells
     by_name = dict(zip(shown.names, cells[2:], strict=True))

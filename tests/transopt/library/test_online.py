@@ -91,8 +91,6 @@ class TestHeat:
             monkeypatch.setattr(online, "_overheats", lambda effect, guess=guess: guess)
             taps.append(solver.solve(0.4, 5.0, start_C, start_C))
         cold, hot = taps
-        assert cold.certificate is not None
-        assert hot.certificate is not None
         assert hot.certificate.accepted
         assert cold.certificate.objective == pytest.approx(hot.certificate.objective, rel=1e-7)
         np.testing.assert_allclose(cold.wave.command, hot.wave.command, atol=1e-4)
@@ -108,8 +106,6 @@ class TestHeat:
         own = solver.solve(0.4, 5.0, 99.97, 99.97).certificate
         monkeypatch.setattr(online, "relaxed_bound", lambda effect, multipliers: -np.inf)
         solved = solver.solve(0.4, 5.0, 99.97, 99.97).certificate
-        assert own is not None
-        assert solved is not None
         assert own.lower_bound == pytest.approx(solved.lower_bound, rel=1e-4)
 
     def test_far_below_the_limit_it_changes_nothing(self, solver: Online) -> None:
@@ -377,7 +373,6 @@ class TestWhatIsNoInput:
 def test_intensity_is_solved_at_the_lam_between_the_nodes(scene: Scene, taps: list[Recording]) -> None:
     loud = with_values(scene, {"limits.current_A": 2.5, "weights.objective": "intensity"})
     library = build_library(loud, taps).library
-    assert library is not None
     online = Online(library)
     node = online.solve(0.4, 5.0)
     np.testing.assert_allclose(node.wave.command, library.command[3, 2], atol=1e-6)

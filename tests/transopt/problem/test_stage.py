@@ -33,7 +33,6 @@ def alone(problem: TransientProblem) -> TransientProblem:
 def test_what_problems_share_is_that_of_each_alone(make_problem: ProblemMaker, walled: WalledMaker) -> None:
     problem, over_wall = make_problem(0.4, 3.0), walled(800.0, 0.4)
     stage, wall = problem.stage, over_wall.wall
-    assert wall is not None
     stiffer = replace(wall, wall=replace(wall.wall, stiffness_N_m=900.0))
     other = replace(make_problem(0.4, 5.0).stage)
     variants = [

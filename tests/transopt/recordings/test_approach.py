@@ -22,7 +22,6 @@ COUNT_M = 24.5e-6
 def accelerated(recording: Recording, onset_s: float, incoming_m_s2: float) -> Recording:
     """The tap of a hand that accelerates all along: z gains a0 t^2 / 2 about the contact."""
     x, z = recording.acceleration, recording.position
-    assert z is not None
     moved = z.values + 0.5 * incoming_m_s2 * (z.times_s - onset_s) ** 2
     counts = np.round(moved / COUNT_M) * COUNT_M
     return replace(

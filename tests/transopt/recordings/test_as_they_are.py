@@ -314,7 +314,6 @@ def test_a_slower_channel_leaves_blanks_that_are_filled(tmp_path: Path, delimite
     known = slice(offset, 190 + offset + 1)
     np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2[known], atol=1e-9)
     assert recording.acceleration.start_s == pytest.approx(offset * DT_S)
-    assert recording.position is not None
     np.testing.assert_allclose(recording.position.values, 1e-3 * positions[known], atol=1e-6)
     assert recording.notes == ("pos [mm] stands in one row of 10 only, and is interpolated between them",)
 

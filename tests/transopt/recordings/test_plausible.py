@@ -23,7 +23,6 @@ KINDS = ["wood_on_foam", "hard_metal", "soft_rubber", "firm_fast"]
 def stretched(tap: Recording, *, time: float = 1.0, acceleration: float = 1.0, position: float = 1.0) -> Recording:
     """A tap whose columns are read in units that are off by factors."""
     a, z = tap.acceleration, tap.position
-    assert z is not None
     return replace(
         tap,
         acceleration=Signal(time * a.start_s, time * a.dt_s, acceleration * a.values),

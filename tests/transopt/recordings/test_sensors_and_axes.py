@@ -50,7 +50,6 @@ def proposed(message: str, option: str) -> str:
 )
 def test_a_sensitivity_may_be_written_either_way_up(unit: str, size: float) -> None:
     found = read_unit(unit, "acceleration")
-    assert found is not None
     assert found.factor == pytest.approx(size, rel=1e-12)
 
 
@@ -84,7 +83,6 @@ def test_a_scopes_channel_is_asked_for_its_sensitivity(tmp_path: Path, head: str
     }
     for units in (stated_units(stated), own):
         recording = load(tmp_path, head + rows, units=units) if "counts" not in head or units is own else None
-    assert recording is not None
     np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
     assert len(recording.notes) == 1
     assert "not used" in recording.notes[0]
@@ -134,7 +132,6 @@ def test_the_taps_direction_is_found(seed: int) -> None:
     np.testing.assert_allclose(made - np.median(made), sign * TAP_M_S2, atol=0.5)
     off = np.degrees(np.arccos(abs(direction[nearest])))
     stated = re.search(r"(\d+) degrees off ([xyz]); (\d+\.\d) %", said)
-    assert stated is not None
     assert abs(float(stated[1]) - off) < 1.5
     assert stated[2] == "xyz"[nearest]
     assert float(stated[3]) < 1
@@ -260,7 +257,6 @@ def test_a_load_cell_gives_a_force_beside_a_unit_of_force(tmp_path: Path, name: 
     path = tmp_path / "tap.csv"
     path.write_text(f"time_s,acc_g,{name}\n" + text(TIMES_S, TAP_M_S2 / G, 5 + TAP_M_S2))
     found = load_recording(path).force
-    assert found is not None
     np.testing.assert_allclose(found.values, newton * (5 + TAP_M_S2), rtol=1e-6)
 
 
@@ -274,7 +270,6 @@ def test_a_force_in_a_unit_of_mass_is_asked_about_and_its_weight_comes_first(
         load_recording(path)
     assert refused.value.answers[0] == {"units": {"force": meant}}
     found = load_recording(path, Layout(**refused.value.answers[0])).force
-    assert found is not None
     np.testing.assert_allclose(found.values, UNITS["force"][meant] * (5 + TAP_M_S2), rtol=1e-6)
 
 

@@ -366,7 +366,6 @@ class TestSpread:
     def test_it_changes_commands_where_it_should(self, make: Make, taps: list[Recording]) -> None:
         def commands(part: DriveDevice) -> FloatArray:
             library = build_library(make(ON_FILE + ROBUST, {"device": part}), taps).library
-            assert library is not None
             return library.command
 
         sure, unsure = commands(with_error(1e-9, 0.0)), commands(with_error(1e-4, 0.1))

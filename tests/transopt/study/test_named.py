@@ -125,7 +125,6 @@ class TestNamed:
         axis = parse_axis(scene, "--study", f"motor={motors.MOTORS}", [problems.FOLDER])
         posed = {stem: motors.motor_scene(scene, m) for stem, m in zip(axis.labels, axis.values, strict=True)}
         own = posed["maxon_re25_118743"].amplifier_model()
-        assert own is not None
         assert own.pole_Hz == pytest.approx(1050.0)
         assert own.delay_s == 68e-6
         by_inductance = sorted(posed.values(), key=lambda each: each.motor.L_H)  # type: ignore[union-attr]

@@ -72,7 +72,6 @@ def test_whatever_channels_each_grip_has_the_device_is_found(seed: int, rig: Rig
         assert_near(part.plant(grip), rig.device.plant(grip))
     assert all(error <= 0.05 for error in result.chosen.recorded.values()), channels
     assert all(0.7 < residual < 1.5 for residual in result.residuals), (channels, result.residuals)
-    assert result.chain is not None
     off = result.chain.unknowns - result.chain.coordinates.of(rig.device)
     assert np.median(np.abs(off) / np.sqrt(np.diag(result.chain.covariance))) < 2, channels
 

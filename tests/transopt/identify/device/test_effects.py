@@ -173,9 +173,6 @@ def test_detection_lines_tell_even_from_odd_distortion_and_both_from_noise() -> 
         distortion(periodic(shape, noise=0.01))
         for shape in (lambda x: 3 * x, lambda x: 3 * x + 0.5 * x**2, lambda x: 3 * x - 0.5 * x**3)
     )
-    assert linear is not None
-    assert even is not None
-    assert odd is not None
     assert max(linear.even, linear.odd) < 0.002
     assert even.even > 0.01 > even.odd
     assert odd.odd > 0.01 > odd.even
@@ -187,8 +184,6 @@ def test_distortion_that_the_current_has_is_the_amplifiers() -> None:
     bent = replace(run, current=replace(command, values=command.values - command.values**3 / 6))
     straight = replace(run, current=command)
     amplifiers, devices = distortion(bent), distortion(straight)
-    assert amplifiers is not None
-    assert devices is not None
     assert "the amplifier gives way" in amplifiers.words()
     assert "friction, play" in devices.words()
     assert devices.current_odd < 1e-9
@@ -216,7 +211,6 @@ def test_detection_lines_of_a_linear_device_name_nothing(rig: Rig, fit: ChainFit
     assert named_by_lines(fit, runs) == []
     for run in runs:
         found = distortion(run)
-        assert found is not None
         assert found.largest < 2e-3
 
 

@@ -288,7 +288,6 @@ def test_a_current_that_is_read_at_another_tick_is_reported_and_taken_out(
     assert len(findings) == len(held)
     assert words in findings[0]
     assert result.causes == ["read delay"]
-    assert result.chain is not None
     assert result.chain.instrument.late == pytest.approx(-shift, abs=0.01)
     assert_near(device_part(result).plant(3.0), rig.device.plant(3.0))
 

@@ -173,7 +173,6 @@ class TestOverAWall:
         command = ended(problem, 1)
         problem = pressing_under(problem, command)
         wall, stage, N = problem.wall, problem.stage, problem.grid.stages
-        assert wall is not None
         ticks = N + problem.grid.after_stages
         loop = FeedbackLoop(wall.wall, stage.amplifier, stage.dt_s, wall.nominal_m[:1], np.array([wall.approach_m_s]))
         course, late, x = np.zeros(ticks + 10), stage.whole_delay + 1, np.zeros((stage.A.shape[0], 1))
