@@ -17,7 +17,6 @@ from transopt.library.c_header import c_header
 from transopt.library.drive_files import refuse_descriptions
 from transopt.library.library import Library
 from transopt.plant.discretise import StageModel
-from transopt.plant.state_space import CURRENT_INPUT
 from transopt.problem.baselines import seed_inversion
 
 SOUND_RATE_HZ = 48000
@@ -191,15 +190,4 @@ def _made(library: Library, iv: int, ig: int, stage: StageModel, command: FloatA
 
 def header_file(library: Library) -> bytes:
     """C99/C++ header, see `transopt.library.c_header`."""
-    if library.scene().shares:
-        # Only a library of several motors needs this import.
-        from transopt.library.motors_header import motors_header
-
-        return motors_header(library).encode("ascii")
-    if library.axes.targets or library.driven_by is not CURRENT_INPUT:
-        raise InputError(
-            "the C header blends currents between speeds and grips, and this library has "
-            f"{library.axes.said} and commands in {library.driven_by.unit}: add --drive, which writes one array for "
-            "each entry"
-        )
     return c_header(library).encode("ascii")

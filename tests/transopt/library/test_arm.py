@@ -15,8 +15,8 @@ from transopt.base.errors import InputError
 from transopt.design.build import Build
 from transopt.design.refine_grid import refine_grid
 from transopt.design.verify import verify_library
+from transopt.library.c_header import c_header
 from transopt.library.library import Library
-from transopt.library.motors_header import motors_header
 from transopt.library.proven import doubts
 from transopt.library.statements import misstatements
 from transopt.proof.several import replay_several
@@ -177,7 +177,7 @@ int main(void)
 
 
 def test_header_plays_the_blend(library: Library, tmp_path: Path) -> None:
-    (tmp_path / "arm.h").write_text(motors_header(library))
+    (tmp_path / "arm.h").write_text(c_header(library))
     (tmp_path / "main.c").write_text(HARNESS)
     flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
     subprocess.run(["cc", *flags, "main.c", "-o", "main"], cwd=tmp_path, check=True)
@@ -194,7 +194,7 @@ def test_header_plays_the_blend(library: Library, tmp_path: Path) -> None:
 
 
 def test_header_is_silent_for_what_is_no_tap(library: Library, tmp_path: Path) -> None:
-    (tmp_path / "arm.h").write_text(motors_header(library))
+    (tmp_path / "arm.h").write_text(c_header(library))
     (tmp_path / "main.c").write_text(HARNESS)
     subprocess.run(["cc", "-std=c99", "main.c", "-o", "main"], cwd=tmp_path, check=True)
     given = "nan 2 1 1\n0.2 nan 1 1\n0.2 2 nan 1\n0.2 2 1 nan\n-0.2 2 1 1\n0.2 0.1 1 1\n"

@@ -10,7 +10,6 @@ import pytest
 from tests.benches.actuators import clicks
 from transopt.base.errors import InputError
 from transopt.library.drive_files import export_drive
-from transopt.library.export import export_library
 from transopt.library.library import Library
 
 PROGRAM = """\
@@ -62,9 +61,7 @@ class TestHeader:
         with pytest.raises(InputError, match=r"--bits: .* give --bits 8 or --bits 16"):
             export_drive(lra, tmp_path / "d.h", bits=bits)
 
-    def test_each_header_refuses_the_others_library(self, lra: Library, library: Library, tmp_path: Path) -> None:
-        with pytest.raises(InputError, match=r"has 2 targets .* and commands in V: add --drive"):
-            export_library(lra, tmp_path / "d.h")
+    def test_taps_that_a_header_blends_are_refused(self, library: Library, tmp_path: Path) -> None:
         with pytest.raises(InputError, match=r"speeds and grips, .* leave --drive out"):
             export_drive(library, tmp_path / "d.h")
         assert not list(tmp_path.iterdir())

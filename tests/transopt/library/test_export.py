@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.io import loadmat, wavfile
 
 import transopt as to
+from tests.benches.actuators import clicks
 from tests.benches.libraries import resized, under
 from transopt.base.errors import InputError
 from transopt.library.export import export_library
@@ -375,6 +376,23 @@ def test_second_commands_leave_in_every_format(compiler: list[str], tmp_path: Pa
     found = loadmat(tmp_path / "library.mat")
     np.testing.assert_array_equal(found["cool_command"], cool.command)
     assert found["cool_status"].ravel()[0].item() == "optimal"
+
+
+def test_header_of_named_targets_plays_each_by_its_number(compiler: list[str], tmp_path: Path) -> None:
+    library = clicks()
+    targets, N = library.command.shape[0], library.command.shape[2]
+    export_library(library, tmp_path / "taps.h")
+    program = PROGRAM.replace("float speed, grip;", "int target;").replace("SCALE_A", "SCALE_V")
+    program = program.replace("%f %f %d", "%d %d").replace("&speed, &grip", "&target")
+    (tmp_path / "main.c").write_text(program.replace("(speed, grip,", "((int32_t)target,").replace("== 3", "== 2"))
+    (tmp_path / "other.c").write_text(OTHER_UNIT)
+    subprocess.run([*compiler, "main.c", "other.c", "-o", "program"], cwd=tmp_path, check=True)
+    asked = list(itertools.product(range(-1, targets + 1), range(-1, N + 1)))
+    text = "".join(f"{target} {k}\n" for target, k in asked)
+    ran = subprocess.run([tmp_path / "program"], input=text, capture_output=True, text=True, check=True)
+    scale, *found = map(float, ran.stdout.split())
+    wanted = np.pad(library.command[:, 0], 1)
+    assert np.abs(np.reshape(found, wanted.shape) - wanted).max() <= scale / 2 * (1 + 1e-3)
 
 
 def test_header_of_a_zero_library_is_silent(compiler: list[str], make_library: Make, tmp_path: Path) -> None:
