@@ -184,10 +184,10 @@ def hand_table(found: "Calibration", hands: "Population") -> "Table":
     from transopt.base.tables import Table
     from transopt.identify.device.chain import HAND, unit_of
 
-    table = Table(title=f"the hand by {len(found.grips_N)} taps, and the population as prior")
     ends = [f"{grip:g} N" for grip in hands.grips_N]
-    for name in ("parameter", "unit", *ends, f"known to %, {found.grip_N:.2g} N", "population %", "told by"):
-        table.add_column(name, justify="left" if name in ("parameter", "unit", "told by") else "right")
+    heads = ("parameter", "unit", *ends, f"known to %, {found.grip_N:.2g} N", "population %", "told by")
+    title = f"the hand by {len(found.grips_N)} taps, and the population as prior"
+    table = Table.of(title, heads, words=("parameter", "unit", "told by"))
     values = [*map(list, zip(*found.at_ends, strict=True))]
     for name, at_ends in zip(HAND, values, strict=True):
         prior, own, told = found.told[name]
@@ -204,9 +204,8 @@ def tried_table(library: "Library", each: "list[Tried]") -> "Table":
     from transopt.base.tables import Table
     from transopt.base.writing import percent
 
-    table = Table(title="played: the library as it was -> the new one, beside the tap that the new one tracks")
-    for name in ("node", "tap %", "felt %"):
-        table.add_column(name, justify="left" if name == "node" else "right")
+    title = "played: the library as it was -> the new one, beside the tap that the new one tracks"
+    table = Table.of(title, ("node", "tap %", "felt %"), words=("node",))
     for one in each:
         pairs = zip(one.before, one.after, strict=True)
         table.add_row(place(library, one.node), *(f"{percent(old)} -> {percent(new)}" for old, new in pairs))

@@ -71,9 +71,8 @@ def show(
     from transopt.base.units import unit_of
 
     found = find(file)
-    table = Table(title=f"{found.source}: {found.device.name}")
-    for name in ("key", "value", "unit", "stated", "what it is"):
-        table.add_column(name, overflow="fold")
+    heads = ("key", "value", "unit", "stated", "what it is")
+    table = Table.of(f"{found.source}: {found.device.name}", heads, words=heads)
     for key in all_keys():
         section, _, name = key.partition(".")
         value = value_of(found.device, key)
@@ -112,9 +111,8 @@ def circuit(
     assert file is not None
     built, scene = load_circuit(file)
     written = write_files(built, scene, file, force=force)
-    table = Table(title=built.circuit.name)
-    for name in ("what", "value", "remark"):
-        table.add_column(name, overflow="fold")
+    heads = ("what", "value", "remark")
+    table = Table.of(built.circuit.name, heads, words=heads)
     for row in rows_of(built):
         table.add_row(*row)
     console = terminal.console()

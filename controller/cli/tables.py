@@ -21,9 +21,8 @@ EVERY_TAP = (Notice.CONTACT, Notice.FINISHED)
 
 def check_table(results: Sequence[Result], title: str) -> Table:
     """Every step: expected, seen, verdict."""
-    table = Table(title=title)
-    for name in ("step", "expected", "seen", "verdict"):
-        table.add_column(name, overflow="fold")
+    heads = ("step", "expected", "seen", "verdict")
+    table = Table.of(title, heads, words=heads)
     for result in results:
         style = "red" if result.passed is False else None
         table.add_row(result.name, result.expected, result.seen, VERDICTS[result.passed], style=style)
@@ -32,11 +31,8 @@ def check_table(results: Sequence[Result], title: str) -> Table:
 
 def taps_table(taps: Sequence[PlayedTap], events: Mapping[object, int], title: str) -> Table:
     """Every tap with its figures, then the events that are not part of every tap."""
-    table = Table(title=title)
-    table.add_column("tap", justify="right")
-    for name in ("speed m/s", "grip N", "latency µs", "tap %", "playback %", "peak g", "predicted g"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("note", overflow="fold")
+    numbers = ("tap", "speed m/s", "grip N", "latency µs", "tap %", "playback %", "peak g", "predicted g")
+    table = Table.of(title, (*numbers, "note"), words=("note",))
     for tap in taps:
         contact, found, g = tap.contact, tap.compared, STANDARD_GRAVITY_M_S2
         table.add_row(
@@ -95,10 +91,8 @@ def figures_table(
         of_winding = f"estimated; start {coil.start_winding_C:.2f} °C, limit {coil.limit_C:g} °C"
     clamps = str(events.get(Notice.COMMAND_SATURATED, 0))
     by_hand = "against the library's prediction, until the hand can react"
-    table = Table()
-    table.add_column("figure")
-    table.add_column("played" if len(taps) <= 1 else f"{len(compared)} taps", justify="right", no_wrap=True)
-    table.add_column("compare with", overflow="fold")
+    played = "played" if len(taps) <= 1 else f"{len(compared)} taps"
+    table = Table.of(None, ("figure", played, "compare with"), words=("figure", "compare with"))
     for row in (
         ("latency", figure("latency_s", 1e6, ".1f", "µs"), "the one shift that aligns played and predicted"),
         (
@@ -128,11 +122,8 @@ def figures_table(
 
 def sweep_table(trials: Sequence[tuple[Path, Trial]], title: str) -> Table:
     """Every trial with what it reached."""
-    table = Table(title=title)
-    table.add_column("file")
-    for name in ("sign", "grip N", "peak A", "peak g", "travel mm"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("note", overflow="fold")
+    heads = ("file", "sign", "grip N", "peak A", "peak g", "travel mm", "note")
+    table = Table.of(title, heads, words=("file", "note"))
     for path, trial in trials:
         swing = trial.acceleration_m_s2 - trial.acceleration_m_s2.mean()
         travel_m = float(np.ptp(trial.position_m))

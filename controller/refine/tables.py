@@ -77,10 +77,8 @@ def refine_table(refined: Refined, title: str) -> Table:
     """Table of every node: errors of the original library, and errors of the kept design in the confirming round."""
     before, history = refined.before, refined.history
     confirmed = history.confirmed or {}
-    table = Table(title=title, keys=2)
-    for name in ("speed m/s", "grip N", "model's optimum", "before", "confirmed", "L", "Q Hz", "factor"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("why it ended", overflow="fold")
+    numbers = ("speed m/s", "grip N", "model's optimum", "before", "confirmed", "L", "Q Hz", "factor")
+    table = Table.of(title, (*numbers, "why it ended"), words=("why it ended",), keys=2)
     for node in nodes_of(before):
         course = history.courses[node]
         first, kept = history.rounds[0].get(node), course.best > 0

@@ -1,7 +1,7 @@
 """Tables for a terminal of any width: no number in them is ever cut or split."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import replace
 from typing import Any
@@ -30,6 +30,27 @@ class Table(table.Table):
     def __init__(self, *heads: Any, keys: int = 1, **how: Any) -> None:
         super().__init__(*heads, **how)
         self._keys = keys
+
+    @classmethod
+    def of(
+        cls,
+        title: str | None,
+        heads: Iterable[str],
+        *,
+        words: Collection[str] = (),
+        whole: Collection[str] = (),
+        **how: Any,
+    ) -> "Table":
+        """A table with these columns, of numbers but for those of words.
+
+        Parameters
+        ----------
+        words : heads of the columns of words. whole : those of them whose cells are copied, and so never broken.
+        """
+        table = cls(title=title, **how)
+        for head in heads:
+            table.add_column(head, justify="left" if head in words else "right", no_wrap=head in whole)
+        return table
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         blocks = list(self._blocks(options.max_width))

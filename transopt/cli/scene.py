@@ -108,9 +108,8 @@ def key_table(scene: "Scene", title: str) -> "Table":
     from transopt.base.tables import Table
     from transopt.scene.keys import keys
 
-    table = Table(title=title)
-    for column in ("key", "unit", "default", "here", "allowed", "about"):
-        table.add_column(column, overflow="fold", no_wrap=column == "key")  # a key is copied into a file
+    heads = ("key", "unit", "default", "here", "allowed", "about")
+    table = Table.of(title, heads, words=heads, whole=("key",))  # a key is copied into a file
 
     def shown(value: object) -> str:
         return "-" if value is None else f"{value:g}" if isinstance(value, float) else str(value)

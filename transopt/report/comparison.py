@@ -168,9 +168,7 @@ def _rows(found: Comparison) -> Iterator[tuple[list[str], bool]]:
 
 def entry_table(found: Comparison, title: str) -> Table:
     """One row per entry, yellow if the verdict changed or only one library has the entry."""
-    table = Table(title=title, caption=LEGEND, keys=len(found.columns))
-    for column in found.heads:
-        table.add_column(column, justify="left" if column == "verdict" else "right", overflow="fold")
+    table = Table.of(title, found.heads, words=("verdict",), caption=LEGEND, keys=len(found.columns))
     for cells, striking in _rows(found):
         table.add_row(*cells, style="yellow" if striking else None)
     return table
@@ -178,9 +176,7 @@ def entry_table(found: Comparison, title: str) -> Table:
 
 def change_table(found: Comparison) -> Table:
     """The values that the two libraries state differently, by dotted path."""
-    table = Table(title="stated differently")
-    for column in CHANGE_COLUMNS:
-        table.add_column(column, overflow="fold", no_wrap=column == CHANGE_COLUMNS[0])
+    table = Table.of("stated differently", CHANGE_COLUMNS, words=CHANGE_COLUMNS, whole=CHANGE_COLUMNS[:1])
     for row in found.changes:
         table.add_row(*row)
     return table

@@ -14,7 +14,6 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullLocator
 from rich.console import Console
-from rich.table import Column
 
 from transopt.base.plotting import DARK, LABEL_PT, SEED, SMALL_PT, colours, draw_minor_ticks_at_once, plain, style
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
@@ -165,8 +164,8 @@ def show(console: Console, result: DeviceResult) -> None:
         console.print(value_table("drive chain", rows))
     elif result.black_box is not None:
         console.print(f"state space of order {result.black_box.order} at each grip")
-    heads = ("trials", "held-out error %", "unknown to the model %", "residual", "hand of its own")
-    table = Table("grip", *(Column(head, justify="right") for head in heads))
+    heads = ("grip", "trials", "held-out error %", "unknown to the model %", "residual", "hand of its own")
+    table = Table.of(None, heads, words=("grip",))
     recorded, between = result.chosen.recorded, result.chosen.between
     residual = dict(zip([grip.grip_N for grip in result.grips], result.residuals, strict=True))
     own = {one.grip_N: one.own_scatter for one in result.own_hands if result.chosen.kind is Kind.DRIVE}

@@ -7,7 +7,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MultipleLocator, NullFormatter
-from rich.table import Column
 
 from transopt.base.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT, plain, style
 from transopt.base.signals import ComplexArray, FloatArray
@@ -43,9 +42,7 @@ HAND_PANELS = (
 
 def value_table(title: str, rows: Iterable[Sequence[str]]) -> Table:
     """Fitted numbers: name, value, both ends of the 95 % interval, unit."""
-    # Names differ at their ends, so a narrow terminal folds them and never cuts them.
-    numbers = (Column(head, justify="right") for head in ("value", "95 % interval"))
-    table = Table(Column("quantity", overflow="fold"), *numbers, "unit", title=title)
+    table = Table.of(title, ("quantity", "value", "95 % interval", "unit"), words=("quantity", "unit"))
     for name, value, low, high, unit in rows:
         table.add_row(name, value, f"{low} to {high}", unit)
     return table
@@ -140,10 +137,8 @@ def _line(magnitude: Axes, phase: Axes, f: FloatArray, response: ComplexArray, c
 
 def trial_table(fit: "AmplifierFit", trials: Sequence["Trial"]) -> Table:
     """The command of each file, and the gain that a linear model finds in it."""
-    table = Table(title="trials, command to current")
-    table.add_column("file")
-    for heading in ("length [s]", "rate [Hz]", "peak [A]", "middle [A]", "gain with crossover"):
-        table.add_column(heading, justify="right")
+    heads = ("file", "length [s]", "rate [Hz]", "peak [A]", "middle [A]", "gain with crossover")
+    table = Table.of("trials, command to current", heads, words=("file",))
     for trial, gain in zip(trials, fit.trial_gains, strict=True):
         command = trial.input
         numbers = (command.values.size * command.dt_s, command.rate_Hz, np.abs(command.values).max())
@@ -262,11 +257,9 @@ def equation(line: "GripLine") -> str:
 
 def line_table(fit: "HandFit") -> Table:
     """Constants and slopes with their 95 % intervals, and a test of the linear dependence on grip."""
-    table = Table(title=f"hand over grip F, {len(fit.fits)} taps: F_surface = m y'' + b y' + k y")
-    for heading in ("quantity", "unit"):
-        table.add_column(heading)
-    for heading in ("constant", "95 %", "per newton", "95 %", "at the middle grip", "95 %", "line? p"):
-        table.add_column(heading, justify="right")
+    title = f"hand over grip F, {len(fit.fits)} taps: F_surface = m y'' + b y' + k y"
+    numbers = ("constant", "95 %", "per newton", "95 %", "at the middle grip", "95 %", "line? p")
+    table = Table.of(title, ("quantity", "unit", *numbers), words=("quantity", "unit"))
     for line in fit.lines:
         (low, high), (slope_low, slope_high) = line.intervals
         middle, lower, upper = line.band[line.band.shape[0] // 2]
@@ -287,10 +280,8 @@ def line_table(fit: "HandFit") -> Table:
 def chain_table(chain: "ChainFit") -> Table:
     """The fourth-order hand: lines with their 95 % intervals, and the uncertainty at the middle grip."""
     title = f"fourth order (stylus - skin - hand - arm), error of the acceleration {100 * chain.unexplained:.1f} %"
-    table = Table(title=title)
-    table.add_column("quantity")
-    for heading in ("constant", "95 %", "per newton", "95 %", "known to"):
-        table.add_column(heading, justify="right")
+    heads = ("quantity", "constant", "95 %", "per newton", "95 %", "known to")
+    table = Table.of(title, heads, words=("quantity",))
     low, high = chain.intervals[0]
     known = {name: f"{100 * share:.2g} %" for name, share in chain.uncertain.items()}
     table.add_row(

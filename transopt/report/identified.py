@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from transopt.base.writing import percent
+from transopt.base.writing import percent, table
 from transopt.design.build import Build
 from transopt.design.entry import Entry
 from transopt.problem.answer import Status
@@ -42,13 +42,13 @@ def _use(scene: Scene, model: IdentifiedModel, name: str) -> str:
             )
 
 
-def _value_rows(name: str, part: FittedPart) -> list[str]:
-    """Rows of a Markdown table: parameter, value, 95 % interval, standard deviation."""
+def _value_rows(name: str, part: FittedPart) -> list[list[str]]:
+    """Rows of a table: part, parameter, value, 95 % interval, standard deviation."""
     rows = []
     for j, (parameter, value) in enumerate(zip(part.parameters, part.values(), strict=True)):
         interval = part.intervals.get(parameter)
         shown = "-" if interval is None else f"{interval[0]:.4g} to {interval[1]:.4g}"
-        rows.append(f"| {name} | {parameter} | {value:.4g} | {shown} | {np.sqrt(part.covariance[j][j]):.2g} |")
+        rows.append([name, parameter, f"{value:.4g}", shown, f"{np.sqrt(part.covariance[j][j]):.2g}"])
     return rows
 
 
@@ -161,7 +161,7 @@ def identified_lines(build: Build) -> list[str]:
     if not isinstance(model, IdentifiedModel):
         return []
     lines = ["", "## Identified", "", f"From {model.file} (sha256 {model.sha256[:12]}):", ""]
-    rows: list[str] = []
+    rows: list[list[str]] = []
     for name in MODEL_PARTS:
         part = getattr(model, name)
         if part is None:
@@ -174,7 +174,7 @@ def identified_lines(build: Build) -> list[str]:
         f"- {name}: as the scene states it" for name in stated if name == "amplifier" or scene.motor is not None
     ]
     if rows:
-        lines += ["", "| part | parameter | value (SI) | 95 % | deviation |", "|---|---|---|---|---|", *rows]
+        lines += ["", *table(["part", "parameter", "value (SI)", "95 %", "deviation"], rows)[:-1]]
     lines += _outside(scene, model)
     if model.device is not None and model.device.nrmse:
         errors = ", ".join(f"{grip} N: {percent(value)} %" for grip, value in model.device.nrmse.items())

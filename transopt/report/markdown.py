@@ -39,11 +39,8 @@ def _between_lines(refinement: Refinement) -> list[str]:
     lines = ["## Between the nodes", "", refinement_summary(refinement), ""]
     if refinement.is_one_point:
         return lines
-    lines += [
-        "| grid | speeds | grips | entries | worst excess % | at m/s, N | tap error / optimum % | median excess % | "
-        "weakest dB |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
+    head = ["grid", "speeds", "grips", "entries", "worst excess %", "at m/s, N", "tap error / optimum %"]
+    rows = list[list[object]]()
     for name, grid, excess, blended in (
         ("of the scene", refinement.recorded, "excess_before", "before"),
         ("refined", refinement.grid, "excess_after", "after"),
@@ -51,15 +48,22 @@ def _between_lines(refinement: Refinement) -> list[str]:
         points = refinement.off(grid)
         worst = max(points, key=lambda p: float(getattr(p, excess)))
         speeds, grips = len(grid.speeds_m_s), len(grid.grips_N)
-        lines.append(
-            f"| {name} | {speeds} | {grips} | {speeds * grips} | {100 * getattr(worst, excess):.2f} | "
-            f"{worst.speed_m_s:.4g}, {worst.grip_N:.4g} | {percent(getattr(worst, blended))} / "
-            f"{percent(worst.optimum)} | {100 * np.median([getattr(p, excess) for p in points]):.2f} | "
-            f"{min(getattr(p, f'{blended}_dB') for p in points):+.2f} |"
+        rows.append(
+            [
+                name,
+                speeds,
+                grips,
+                speeds * grips,
+                f"{100 * getattr(worst, excess):.2f}",
+                f"{worst.speed_m_s:.4g}, {worst.grip_N:.4g}",
+                f"{percent(getattr(worst, blended))} / {percent(worst.optimum)}",
+                f"{100 * np.median([getattr(p, excess) for p in points]):.2f}",
+                f"{min(getattr(p, f'{blended}_dB') for p in points):+.2f}",
+            ]
         )
     return [
         *lines,
-        "",
+        *table([*head, "median excess %", "weakest dB"], rows),
         "excess: tap error of the bilinear blend of the node commands, replayed, less that of the optimum solved "
         "exactly there, or the share of amplitude that the blend lacks beside that optimum, whichever is larger; "
         "weakest: its energy over that optimum's, where it is least. "

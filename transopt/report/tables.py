@@ -44,10 +44,9 @@ def printed(
     striking : a style or None for each row.
     columns : number of rows after which a line is drawn; 0 for no lines.
     """
-    table = Table(title=title, caption=caption, keys=len(shown.places))
-    numbers = [*(True for _ in shown.places), *(COLUMNS[name].is_number for name in shown.names)]
-    for head, is_number in zip(shown.heads, numbers, strict=True):
-        table.add_column(head, justify="right" if is_number else "left", overflow="fold")
+    own = zip(shown.names, shown.heads[len(shown.places) :], strict=True)
+    words = [head for name, head in own if not COLUMNS[name].is_number]
+    table = Table.of(title, shown.heads, words=words, caption=caption, keys=len(shown.places))
     styles = striking or [None] * len(shown.rows)
     for number, (row, style) in enumerate(zip(shown.cells, styles, strict=True), start=1):
         # `Text` is printed unchanged; a string would be parsed for markup, which takes longer.

@@ -26,7 +26,6 @@ CLUSTER_WIDTH = 0.1  # relative width of a group of speeds; a tap may be scaled 
 
 def taps_table(taps: Sequence[PreparedTap]) -> Table:
     """One row per tap: rate, onset, offset, polarity, speed and its source, grip, a0, peak, clipping, notes."""
-    table = Table(title=f"{len(taps)} recording{'s' * (len(taps) > 1)}")
     names = (
         "file",
         "rate kHz",
@@ -41,10 +40,7 @@ def taps_table(taps: Sequence[PreparedTap]) -> Table:
         "clipped",
         "notes",
     )
-    for name in names:
-        table.add_column(
-            name, overflow="fold", justify="left" if name in ("file", "speed from", "notes") else "right"
-        )
+    table = Table.of(f"{len(taps)} recording{'s' * (len(taps) > 1)}", names, words=("file", "speed from", "notes"))
     for tap in taps:
         table.add_row(
             tap.recording.name,
@@ -72,9 +68,7 @@ def cells_table(taps: Sequence[PreparedTap]) -> Table | None:
     counts = np.array(
         [[sum(t.speed_m_s in v and t.recording.grip_N in F for t in taps) for F in grips] for v in speeds]
     )
-    table = Table(title="taps by speed and grip")
-    for head in ("speed m/s", *(f"{_mean(group):g} N" for group in grips)):
-        table.add_column(head, justify="right")
+    table = Table.of("taps by speed and grip", ["speed m/s", *(f"{_mean(group):g} N" for group in grips)])
     for group, row in zip(speeds, counts, strict=True):
         known = np.flatnonzero(row)
         filled = [_filled(n, j, known) for j, n in enumerate(row.tolist())]

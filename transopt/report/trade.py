@@ -38,7 +38,7 @@ def _known(value: float, factor: float, form: str) -> str:
 
 def trade_table(library: Library, name: str) -> Table:
     """The trade's figures of every entry as designed."""
-    table = _table(name, [*library.axes.columns, "tap error %", *TRADE_COLUMNS])
+    table = Table.of(name, [*library.axes.columns, "tap error %", *TRADE_COLUMNS], words=("target",))
     for iv in range(library.speeds_m_s.size):
         for ig in range(library.grips_N.size):
             found = trade_figures(library, iv, ig)
@@ -53,7 +53,7 @@ def drive_table(library: Library, left: Sequence[PlayedDrive]) -> Table:
         f"as it leaves: {driver.rate_Hz:g} Hz, {driver.depth.word}, full scale {driver.full_scale:g} {driver.unit}"
     )
     columns = ["designed %", "leaves %", "after %", "saturated", f"peak {driver.unit}", *TRADE_COLUMNS]
-    table = _table(title, [*library.axes.columns, *columns])
+    table = Table.of(title, [*library.axes.columns, *columns], words=("target",))
     for each in left:
         drive = each.drive
         table.add_row(
@@ -91,10 +91,3 @@ def drive_remarks(library: Library, left: Sequence[PlayedDrive]) -> list[str]:
             f"{1 / driver.rate_Hz:.17g} leaves as it was designed"
         )
     return said
-
-
-def _table(title: str, columns: Sequence[str]) -> Table:
-    table = Table(title=title)
-    for column in columns:
-        table.add_column(column, justify="left" if column == "target" else "right", overflow="fold")
-    return table

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from transopt.base.writing import percent
+from transopt.base.writing import percent, table
 from transopt.design.entry import Entry
 from transopt.design.trade_off import TradeOff, TradeOffPoint
 from transopt.problem.objective.bands import EDGES_Hz, JUST_NOTICED_dB, Levels
@@ -36,24 +36,20 @@ def trade_off_lines(build: "Build") -> list[str]:
         "felt dB",
         f"below {EDGES_Hz[0]:.0f} Hz",
     ]
-    lines = [
-        "",
-        "## Waveform and intensity",
-        "",
-        "| " + " | ".join([*head, *(f"{band:g} Hz" for band in bands)]) + " |",
-        "|" + "---|" * (len(head) + len(bands)),
-    ]
+    rows = []
     for each in found:
         for name, point in (("waveform", each.waveform), ("intensity", each.intensity)):
             cells = [*each.cells, name, f"{point.price:.3g}", percent(point.tap_error)]
             thirds = [point.levels.thirds_dB.get(band, np.nan) for band in bands]
             cells += map(_dB, (point.levels.broadband_dB, point.levels.pacinian_dB, point.levels.below_dB, *thirds))
-            lines.append("| " + " | ".join(cells) + " |")
+            rows.append(cells)
     missing = "; ".join(f"{each.place} ({each.missing_dB:.2f} dB short)" for each in found if each.missing_dB)
     said = f"No lam reaches it at {missing}. That is no proof that no command within the limits has more."
     return [
-        *lines,
         "",
+        "## Waveform and intensity",
+        "",
+        *table([*head, *(f"{band:g} Hz" for band in bands)], rows),
         "Entries that a limit cuts, as predicted. waveform: the least squares of the error. intensity: the nearest "
         f"waveform among all commands with an energy of {asked_dB:+g} dB over the recorded one, at the price lam. "
         "dB: energy within the window over that of r; felt: through the band-pass at 275 Hz, of which "

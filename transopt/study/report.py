@@ -170,17 +170,14 @@ def study_table(plan: Plan, rows: Sequence[Row]) -> Table | None:
     if plan.sample is not None or not 1 <= len(plan.axes) <= 2 or max(plan.shape) > MOST_VALUES:
         return None
     heads = [axis.key for axis in plan.axes]  # a key's name includes its unit
-    points, shown = points_of(plan, rows), Table(title="largest tap error of a point, %")
-    shown.add_column(heads[0], justify="right")
+    points, title = points_of(plan, rows), "largest tap error of a point, %"
     if len(plan.axes) == 1:
-        for head in ("tap %", "at"):
-            shown.add_column(head, justify="right" if head == "tap %" else "left")
+        shown = Table.of(title, [*heads, "tap %", "at"], words=("at",))
         for point in points:
             shown.add_row(*point.labels.values(), percent(point.worst), point.place)
         return shown
     across = plan.axes[1].labels
-    for value in across:
-        shown.add_column(f"{heads[1]} = {value}", justify="right")
+    shown = Table.of(title, [heads[0], *(f"{heads[1]} = {value}" for value in across)])
     for first, value in enumerate(plan.axes[0].labels):
         shown.add_row(value, *(percent(point.worst) for point in points[first * len(across) :][: len(across)]))
     return shown
