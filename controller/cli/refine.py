@@ -166,7 +166,7 @@ def refine(
         bench, hand, source = person_at(port), PersonsHand(terminal.console()), port
     stated = {**_stated(loaded, source, accelerometer_Hz), "taps": taps}
     refined = _refined(loaded, bench, hand, found.device, out, rounds, taps, seconds, stated, reset)
-    _finish(refined, library, out)
+    finish(refined, library, out)
 
 
 def _stated(library: "Library", source: str, accelerometer_Hz: float) -> dict[str, Any]:
@@ -184,7 +184,8 @@ def _stated(library: "Library", source: str, accelerometer_Hz: float) -> dict[st
     }
 
 
-def _tell(learner: "Learner", results: "Round") -> None:
+def tell_round(learner: "Learner", results: "Round") -> None:
+    """Print what the round just learnt from has shown, and what follows from it."""
     from controller.refine.tables import following_line, round_line
 
     for line in filter(None, (round_line(learner.number - 1, learner, results), following_line(learner))):
@@ -225,10 +226,10 @@ def _refined(
 
     with connected(bench.port, reset) as device, ended_in_words(), hand:
         play = Taps(device, bench, hand, described, out, taps, seconds)
-        return refinement.refine(library, play, resolve, rounds, stated, tell=_tell)
+        return refinement.refine(library, play, resolve, rounds, stated, tell=tell_round)
 
 
-def _finish(refined: "Refined", path: Path, out: Path) -> None:
+def finish(refined: "Refined", path: Path, out: Path) -> None:
     """Table, files, and the verdict: exit code 1 if something was left to be gained and nothing was."""
     from controller.refine.figure import refine_figure
     from controller.refine.tables import LEGEND, reasons, refine_table, summary

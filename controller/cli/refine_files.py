@@ -4,18 +4,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import typer
-
-from controller.refine.figure import refine_figure
+from controller.cli.refine import finish, tell_round
 from controller.refine.heard import Heard, Node
 from controller.refine.kept import history_of, in_meta, is_learning
 from controller.refine.learner import LEAST_DEGREES, LEAST_TAPS, Learner, Resolve
 from controller.refine.recorded import RecordedTap, recorded_tap
 from controller.refine.rounds import Refined
-from controller.refine.tables import LEGEND, following_line, place, reasons, refine_table, round_line, summary
+from controller.refine.tables import place
 from transopt.base import terminal
 from transopt.base.errors import InputError
-from transopt.base.plotting import save_figure
 from transopt.files.names import Layout
 from transopt.library.library import Library
 from transopt.recordings.recording import Recording, load_recording
@@ -65,30 +62,18 @@ def step(
     begun = {**known, "files": {**known.get("files", {}), **seen}}
     history, asked = history_of(library) if is_learning(library) else (None, None)
     learner = Learner(library, resolve, rounds, lambda learner: in_meta(learner, begun), history, asked)
-    console, number = terminal.console(), learner.number
     results = learner.learn(_by_node(learner, [recorded_tap(one, library, accelerometer_Hz) for one in read]))
-    for line in filter(None, (round_line(number, learner, results), following_line(learner))):
-        console.print(line)
+    tell_round(learner, results)
     written = out / "library.npz"
     if not learner.over:
         learner.library.save(written)
         wanted = ", ".join(place(library, node) for node in learner.asked)
-        console.print(
+        terminal.console().print(
             f"next: play {written} and record {taps} taps at each of: {wanted}; then\n"
             f"transopt-play refine {written} --from-files TAPS... --out ANOTHER_FOLDER"
         )
         return
-    refined = Refined.of(library, learner)
-    console.print(refine_table(refined, f"{path}, playback error in %"))
-    console.print(LEGEND, style="dim")
-    console.print(reasons(refined))
-    words, good = summary(refined, written)
-    learner.library.save(written)
-    save_figure(refine_figure(refined), out / "refinement.png")
-    console.print(f"{out}: library.npz, refinement.png")
-    console.print(words, style=None if good else "red")
-    if not good:
-        raise typer.Exit(1)
+    finish(Refined.of(library, learner), path, out)
 
 
 def _not_again(read: Sequence[Recording], before: dict[str, str]) -> dict[str, str]:
