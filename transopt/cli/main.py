@@ -1,7 +1,7 @@
 """`transopt`: scene, plant, taps, identify, solve, verify, show, compare, export, study, page.
 
-Every command is a file of its own beside this one. Exit codes: 0 done, 1 a result fell short, 2 bad input. A command
-imports what it computes with only when it runs, so that help and errors come at once.
+Commands are beside this file, those on the file of a library together. Exit codes: 0 done, 1 a result fell short, 2
+bad input. A command imports what it computes with only when it runs, so that help and errors come at once.
 """
 
 from typing import Annotated
@@ -9,18 +9,15 @@ from typing import Annotated
 import typer
 
 from transopt.base import terminal
-from transopt.cli.compare import compare
-from transopt.cli.export import export
 from transopt.cli.identify import app as identify
+from transopt.cli.library import compare, export, show, verify
 from transopt.cli.page import page
 from transopt.cli.plant import app as plant
 from transopt.cli.scene import app as scene
-from transopt.cli.show import show
 from transopt.cli.solve import solve
 from transopt.cli.start import COMMANDS
 from transopt.cli.study import study
 from transopt.cli.taps import taps
-from transopt.cli.verify import verify
 
 FIRST = """\
 transopt solve
