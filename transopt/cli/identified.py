@@ -112,8 +112,7 @@ def next_step(out: Path, scene: str | None = None) -> str:
     ------
     InputError : the file cannot be read.
     """
-    from transopt.scene.model_file import load_model
-    from transopt.scene.model_place import model_line
+    from transopt.scene.model_file import load_model, model_line
 
     model = load_model(out)
     if model.device is None and model.hand is None:

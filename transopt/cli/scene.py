@@ -62,7 +62,7 @@ def scene_new(
 ) -> None:
     """Copy a built-in scene to a file of your own, to be changed and solved by its path."""
     from transopt.scene import builtin
-    from transopt.scene.model_place import on_model
+    from transopt.scene.model_file import on_model
 
     # Relative paths of a scene count from its own folder, those of a copy from that of the copy.
     text = builtin.scene_path(source).read_text(encoding="utf-8").replace('"../', '"')

@@ -17,7 +17,7 @@ from transopt.base.shown import cut
 from transopt.base.sizes import MOST_TEXT_BYTES
 from transopt.plant.matrices import Matrices
 from transopt.plant.state_space import StateSpace
-from transopt.scene.model_place import identified_table, put_model, served_grips
+from transopt.scene.model_file import identified_table, put_model, served_grips
 from transopt.scene.own_file import own_tables
 from transopt.scene.plant_file import with_plant_file
 from transopt.scene.plausible import check_plausible
