@@ -77,7 +77,7 @@ def identify_hand(
     from pydantic import ValidationError
 
     from transopt.cli.questions import measurements
-    from transopt.identify.hand.chain import fit_chain, hand_part
+    from transopt.identify.hand.fourth_order import fit_fourth_order, hand_part
     from transopt.identify.hand.lines import fit_hand
     from transopt.identify.hand.tap import usable_taps
     from transopt.identify.measurement import split_taps
@@ -92,17 +92,17 @@ def identify_hand(
         step("fitting")
         taps, left_out = usable_taps(runs, window)
         fit = fit_hand(taps)
-        chain = fit_chain(taps, fit)
-    tell(fits.line_table(fit), fits.chain_table(chain))
+        fourth = fit_fourth_order(taps, fit)
+    tell(fits.line_table(fit), fits.fourth_order_table(fourth))
     tell(*(f"{one.name}: {one.note}" for one in taps if one.note))
     tell(*(f"left out: {line}" for line in left_out), style="yellow")
-    tell(f"fourth order: {chain.word()}")
+    tell(f"fourth order: {fourth.word()}")
     used, figure = {tap.name for tap in taps}, fits.hand_figure(fit)
     try:
-        part = hand_part(fit, chain, [run for run in runs if run.name in used])
+        part = hand_part(fit, fourth, [run for run in runs if run.name in used])
     except ValidationError as error:
         tell(draw(out, "hand", figure).name)
-        short = [complaint(error), *fit.shortfalls(), *(chain.shortfalls() if chain.is_better else ())]
+        short = [complaint(error), *fit.shortfalls(), *(fourth.shortfalls() if fourth.is_better else ())]
         tell(f"hand: {out} is not written: {'; '.join(short)}", style="red")
         raise typer.Exit(1) from None
     finish(out, "hand", part, figure)

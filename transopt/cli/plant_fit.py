@@ -11,8 +11,8 @@ from transopt.base.errors import InputError
 from transopt.cli.layout import RateHz, layout
 
 if TYPE_CHECKING:
-    from transopt.identify.black_box import ResponseFit
-    from transopt.identify.response import MeasuredResponse
+    from transopt.identify.measured_response import MeasuredResponse
+    from transopt.identify.response_fit import ResponseFit
 
 COLUMNS_HELP = 'Names of the file\'s columns, in order, "-" skips one: frequency_Hz,-,real,imag.'
 UNITS_HELP = "Units of columns that state none: magnitude=g/V,phase=deg."
@@ -74,8 +74,8 @@ def plant_fit(
     from transopt.base.sizes import LONGEST_DELAY_S
     from transopt.cli.questions import answered
     from transopt.files.unclear import Answer
-    from transopt.identify.black_box import fit_response
-    from transopt.identify.response import WORDS, MeasuredResponse, read_response
+    from transopt.identify.measured_response import WORDS, MeasuredResponse, read_response
+    from transopt.identify.response_fit import fit_response
     from transopt.plant.state_space import CURRENT_INPUT, VOLTAGE_INPUT
 
     inputs = {each.name: each for each in (CURRENT_INPUT, VOLTAGE_INPUT)}
@@ -221,7 +221,7 @@ def summary(found: "MeasuredResponse") -> str:
 
 def unfit_advice(misfit: float, order: int) -> str:
     """Why a fit may not be used, and what to do."""
-    from transopt.identify.black_box import HIGHEST_ORDER, MOST_MISFIT
+    from transopt.identify.response_fit import HIGHEST_ORDER, MOST_MISFIT
 
     more = min(order + 2, HIGHEST_ORDER)
     return (

@@ -7,5 +7,5 @@ name in place of masses, springs and dampers of its own (model = "MODEL.json"). 
 
 Each arrow is a function that takes and returns values. The one search of `squares` finds all unknowns; `likelihood`
 builds on it for those that are fitted to a spectrum. `fit` states intervals, covariance and verdict of each part of
-the model file; `black_box` fits devices that are no drive chain. `transopt.report` draws the results.
+the model file; `device.black_box` fits devices that are no drive chain. `transopt.report` draws the results.
 """

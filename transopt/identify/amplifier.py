@@ -15,7 +15,6 @@ from transopt.identify.amplifier_response import (
     continuous,
     less_dead_band,
     sampled,
-    sampled_response,
     simulate_current,
 )
 from transopt.identify.checks import (
@@ -29,7 +28,7 @@ from transopt.identify.checks import (
 )
 from transopt.identify.condensed import Condensed
 from transopt.identify.findings import COHERENT, Check, Finding, refuse
-from transopt.identify.fit import Fit, around, known
+from transopt.identify.fit import Fit, intervals_around, known
 from transopt.identify.likelihood import Likelihood, Maximum
 from transopt.identify.measurement import Measurement
 from transopt.identify.spectrum import TransferEstimate, Trial, condense_trials, estimate_transfer, transfer
@@ -112,7 +111,7 @@ class AmplifierFit(Fit):
 
     def response(self, frequencies_Hz: FloatArray) -> ComplexArray:
         """(m,) response of the fit, from samples of the command to samples of the current."""
-        return self.gain * sampled_response(frequencies_Hz, self.pole_Hz, self.delay_s, self.dt_s)
+        return self.gain * sampled(frequencies_Hz, self.pole_Hz, self.delay_s, self.dt_s)[0]
 
     def shortfalls(self) -> list[str]:
         found = []
@@ -183,7 +182,7 @@ def fit_pole(
     rough.sort(key=lambda one: one[0])
     best, _ = likelihood.searches([begun for _, begun in rough[:STARTS]], *bounds)[0]
     # The bounds are moved outward here: a delay of zero lies at its bound, yet its variance is that of any other.
-    return likelihood.around(best, bounds[0] - 1, bounds[1] + 1, np.ones(3, dtype=bool))
+    return likelihood.maximum_at(best, bounds[0] - 1, bounds[1] + 1, np.ones(3, dtype=bool))
 
 
 def _share(good: NDArray[np.bool_]) -> str:
@@ -251,8 +250,8 @@ def fit_amplifier(trials: Sequence[Trial]) -> AmplifierFit:
         covariance = covariance + np.outer(moved, moved)
     pole, delay, gain = fit.values.tolist()
     naive = _fit(trials, continuous, 0.4 / dt_s)
-    misfit = _misfit(fit.estimate, gain * sampled_response(fit.estimate.frequencies_Hz, pole, delay, dt_s))
-    spans = np.maximum(around(fit.values, covariance), [0.0, -np.inf]).tolist()
+    misfit = _misfit(fit.estimate, gain * sampled(fit.estimate.frequencies_Hz, pole, delay, dt_s)[0])
+    spans = np.maximum(intervals_around(fit.values, covariance), [0.0, -np.inf]).tolist()
     return AmplifierFit(
         pole_Hz=pole,
         delay_s=delay,
@@ -265,7 +264,7 @@ def fit_amplifier(trials: Sequence[Trial]) -> AmplifierFit:
         estimate=fit.estimate,
         misfit_dB=misfit[0],
         misfit_deg=misfit[1],
-        trial_gains=_gains(plain.data, sampled_response(plain.data.frequencies_Hz, pole, delay, dt_s)),
+        trial_gains=_gains(plain.data, sampled(plain.data.frequencies_Hz, pole, delay, dt_s)[0]),
         dt_s=dt_s,
         low_Hz=swept_from(trials, fit.estimate),
     )

@@ -35,11 +35,6 @@ def sampled(
     return np.asarray(value), np.array([by_pole, by_delay])
 
 
-def sampled_response(frequencies_Hz: FloatArray, pole_Hz: float, delay_s: float, dt_s: float) -> ComplexArray:
-    """(m,) the response of `sampled`, without its derivatives."""
-    return sampled(frequencies_Hz, pole_Hz, delay_s, dt_s)[0]
-
-
 def _difference_equation(pole_Hz: float, delay_s: float, dt_s: float) -> tuple[int, float, float, float]:
     """m, now, before, keep of the difference equation i_(k+1) = keep i_k + now c_(k-m) + before c_(k-m-1)."""
     w = 2 * np.pi * pole_Hz

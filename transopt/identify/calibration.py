@@ -23,7 +23,7 @@ from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.identify.device.chain import HAND, SHARED, Coordinates, log_slopes
 from transopt.identify.device.response import ACCELERATION, CURRENT, POSITION, Instrument, courses
-from transopt.identify.fit import around, known
+from transopt.identify.fit import intervals_around, known
 from transopt.identify.squares import Squares, inverse
 from transopt.scene.fitted import Source, complaint
 from transopt.scene.model_parts import DriveDevice
@@ -281,7 +281,7 @@ def _device(
         hand.setdefault(parameter, {})[part] = value
     stated = {
         "hand": hand,
-        **known(names, spread, around(values, spread)),
+        **known(names, spread, intervals_around(values, spread)),
         "sources": [source.model_dump() for source in sources],
     }
     try:

@@ -33,6 +33,7 @@ GRAVITY_TOLERANCE = 0.25  # relative error of a nominal model's gain; no other c
 AGAINST = 0.5  # polarity is wrong if the reversed record has less than this share of the misfit of a passive device
 PASSIVE_BAND_HZ = (2.0, 150.0)  # where motor and stylus of such a device move as one
 RATE_TOLERANCE = 1e-4
+UNITS = {"command": "A", "current": "A", "voltage": "V", "acceleration": "m/s^2"}  # of the signals that are checked
 LEAST_STRETCH = 3  # bins in a stretch of low coherence that is reported
 GRIP_STEP_N = 0.25  # trials whose grips are closer than this count as one grip
 
@@ -64,7 +65,7 @@ def _signal(name: str, quantity: str, x: Signal, *, limited: bool) -> list[Findi
 
     `limited` is set for a tap of a library, whose current may stay at its limit.
     """
-    unit = {"command": "A", "current": "A", "voltage": "V", "acceleration": "m/s^2"}.get(quantity, "SI")
+    unit = UNITS[quantity]
     values = x.values
     if np.ptp(values) == 0:
         what = "the cable and the channel" if quantity != "command" else "what the device was told"
@@ -85,20 +86,18 @@ def _signal(name: str, quantity: str, x: Signal, *, limited: bool) -> list[Findi
     return found
 
 
-def begun_late(name: str, signals: Sequence[tuple[str, Signal | None, str]]) -> list[Finding]:
-    """Find a burst whose record begins within the burst instead of at rest.
-
-    Parameters
-    ----------
-    signals : quantity, its recorded signal or None, and its unit.
-    """
-    for quantity, x, unit in signals:
+def begun_late(run: Measurement) -> list[Finding]:
+    """Find a burst whose record begins within it: the missing beginning would look like an error of the model."""
+    for quantity in ("command", "current", "acceleration"):
+        x = getattr(run, quantity)
         if x is None:
             continue
         centred = x.values - np.median(x.values[-max(END_SAMPLES, x.values.size // 10) :])
         first, peak = float(np.abs(np.median(centred[:END_SAMPLES]))), float(np.abs(centred).max())
         if first > END_PART * peak:
-            return [Check.BEGUN_LATE.at(name, quantity=quantity, first=first, unit=unit, part=first / peak)]
+            return [
+                Check.BEGUN_LATE.at(run.name, quantity=quantity, first=first, unit=UNITS[quantity], part=first / peak)
+            ]
     return []
 
 

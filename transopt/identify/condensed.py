@@ -232,7 +232,7 @@ def _lagrange(nodes: FloatArray, places: FloatArray) -> FloatArray:
     return np.asarray(np.prod(np.where(itself, 1.0, factors), axis=2))
 
 
-def around(frequencies_Hz: FloatArray, octaves: float, least: int = 0) -> Callable[[FloatArray], FloatArray]:
+def summed_around(frequencies_Hz: FloatArray, octaves: float, least: int = 0) -> Callable[[FloatArray], FloatArray]:
     """A function that sums values over the bins within `octaves` of each bin, at least `least` to either side."""
     place, number = np.log2(frequencies_Hz), np.arange(frequencies_Hz.size)
     first = np.minimum(np.searchsorted(place, place - octaves), np.maximum(number - least, 0))
@@ -252,7 +252,7 @@ def pooled(frequencies_Hz: FloatArray, noise: FloatArray, degrees: FloatArray) -
     A bin of few lines estimates its noise poorly, and weights from such estimates make fits overconfident. A bin with
     significantly more noise than its neighbours (mains hum) keeps its own estimate.
     """
-    summed = around(frequencies_Hz, OCTAVES_OF_NOISE, LEAST_NEIGHBOURS)
+    summed = summed_around(frequencies_Hz, OCTAVES_OF_NOISE, LEAST_NEIGHBOURS)
     together = summed(degrees)
     pooled = summed(noise * degrees) / together
     apart = noise > pooled * special.fdtri(degrees, together, 1 - ODD_ONE_OUT)

@@ -21,7 +21,7 @@ def quantile(degrees: float = np.inf) -> float:
     return float(special.stdtrit(degrees, (1 + LEVEL) / 2))
 
 
-def around(values: FloatArray, covariance: FloatArray, degrees: float = np.inf) -> FloatArray:
+def intervals_around(values: FloatArray, covariance: FloatArray, degrees: float = np.inf) -> FloatArray:
     """(p, 2) 95 % intervals around values (p,)."""
     half = quantile(degrees) * np.sqrt(np.diagonal(covariance))
     return np.stack([values - half, values + half], axis=1)

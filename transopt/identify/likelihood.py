@@ -112,9 +112,9 @@ class Likelihood(Squares):
     ) -> Maximum:
         """The best unknowns near `start`, with their covariance."""
         unknowns, _ = self.search(start, low, high, free, most=most)
-        return self.around(unknowns, low, high, free)
+        return self.maximum_at(unknowns, low, high, free)
 
-    def around(self, unknowns: FloatArray, low: FloatArray, high: FloatArray, free: NDArray[np.bool_]) -> Maximum:
+    def maximum_at(self, unknowns: FloatArray, low: FloatArray, high: FloatArray, free: NDArray[np.bool_]) -> Maximum:
         """The `Maximum` at unknowns that a search has already found: their covariance and residuals."""
         residuals, jacobian = self.evaluate(unknowns)
         reach = 1e-6 * (high - low)

@@ -8,7 +8,7 @@ from scipy import special
 
 from transopt.base.errors import InputError
 from transopt.base.signals import ComplexArray, FloatArray, Signal
-from transopt.identify.condensed import Condensed, around, condense, pooled
+from transopt.identify.condensed import Condensed, condense, pooled, summed_around
 
 OCTAVES_OF_SPREAD = 0.5  # to either side of a bin over which the scatter between trials is averaged
 SCATTERED = 1.5  # total variance over that within trials above which the number of trials sets the degrees of freedom
@@ -203,6 +203,6 @@ def _between_trials(frequencies_Hz: FloatArray, by_trial: ComplexArray, variance
     if K < 3:
         return np.zeros(variance.size)
     scatter = np.sum(np.abs(by_trial - by_trial.mean(axis=0)) ** 2, axis=0) / (K - 1)
-    summed = around(frequencies_Hz, OCTAVES_OF_SPREAD)
+    summed = summed_around(frequencies_Hz, OCTAVES_OF_SPREAD)
     ratio = summed(scatter / np.maximum(variance, np.finfo(float).tiny)) / summed(np.ones(variance.size))
     return np.asarray(np.maximum(ratio - 1, 0.0) * variance / K)

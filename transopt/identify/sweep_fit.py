@@ -12,10 +12,10 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.shown import brief
-from transopt.identify.black_box import ResponseFit, fit_response
 from transopt.identify.checks import check_measurement
 from transopt.identify.findings import COHERENT, refuse
 from transopt.identify.measurement import Measurement
+from transopt.identify.response_fit import ResponseFit, fit_response
 from transopt.identify.spectrum import Trial, estimate_transfer
 from transopt.plant.state_space import CURRENT_INPUT, VOLTAGE_INPUT
 

@@ -16,10 +16,10 @@ from transopt.plant.second_order import SEED_HAND_DAMPING_N_S_M, SEED_HAND_MASS_
 
 if TYPE_CHECKING:  # only the fit that is drawn is loaded; loading the others takes longer than drawing
     from transopt.identify.amplifier import AmplifierFit
-    from transopt.identify.black_box import ResponseFit
     from transopt.identify.coil import CoilFit
-    from transopt.identify.hand.chain import ChainFit
+    from transopt.identify.hand.fourth_order import FourthOrderFit
     from transopt.identify.hand.lines import GripLine, HandFit
+    from transopt.identify.response_fit import ResponseFit
     from transopt.identify.spectrum import TransferEstimate, Trial
 
 POINTS = 400
@@ -277,18 +277,18 @@ def line_table(fit: "HandFit") -> Table:
     return table
 
 
-def chain_table(chain: "ChainFit") -> Table:
+def fourth_order_table(fit: "FourthOrderFit") -> Table:
     """The fourth-order hand: lines with their 95 % intervals, and the uncertainty at the middle grip."""
-    title = f"fourth order (stylus - skin - hand - arm), error of the acceleration {100 * chain.unexplained:.1f} %"
+    title = f"fourth order (stylus - skin - hand - arm), error of the acceleration {100 * fit.unexplained:.1f} %"
     heads = ("quantity", "constant", "95 %", "per newton", "95 %", "known to")
     table = Table.of(title, heads, words=("quantity",))
-    low, high = chain.intervals[0]
-    known = {name: f"{100 * share:.2g} %" for name, share in chain.uncertain.items()}
+    low, high = fit.intervals[0]
+    known = {name: f"{100 * share:.2g} %" for name, share in fit.uncertain.items()}
     table.add_row(
-        "stylus_mass_kg", f"{chain.stylus_mass_kg:.4g}", f"{low:.4g} .. {high:.4g}", "-", "-", known["stylus_mass_kg"]
+        "stylus_mass_kg", f"{fit.stylus_mass_kg:.4g}", f"{low:.4g} .. {high:.4g}", "-", "-", known["stylus_mass_kg"]
     )
-    for j, (name, line) in enumerate(chain.lines.items()):
-        (low, high), (slope_low, slope_high) = chain.intervals[1 + 2 * j : 3 + 2 * j]
+    for j, (name, line) in enumerate(fit.lines.items()):
+        (low, high), (slope_low, slope_high) = fit.intervals[1 + 2 * j : 3 + 2 * j]
         table.add_row(
             f"hand.{name}",
             f"{line.constant:.4g}",

@@ -11,7 +11,7 @@ import typer
 from problems.generators.tapping_trials import FOURTH_ORDER_STYLUS_KG, Trials, tapping_trials, write_trials
 from transopt.base.errors import InputError
 from transopt.cli.identify import identify_hand
-from transopt.identify.hand.chain import NAMES
+from transopt.identify.hand.fourth_order import NAMES
 from transopt.identify.hand.lines import COEFFICIENTS
 from transopt.scene.model_file import load_model
 

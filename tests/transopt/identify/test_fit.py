@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from transopt.identify.fit import LEVEL, Fit, around, known, quantile
+from transopt.identify.fit import LEVEL, Fit, intervals_around, known, quantile
 
 
 @pytest.mark.parametrize("degrees", [3.0, 12.0, np.inf])
@@ -18,7 +18,7 @@ def test_so_many_intervals_hold_the_truth_as_their_level_says(degrees: float) ->
 
 def test_a_part_states_its_numbers_in_their_order_with_a_symmetric_covariance() -> None:
     covariance = np.array([[4.0, 1.0 + 1e-9], [1.0, 9.0]])
-    told = known(("a", "b"), covariance, around(np.array([1.0, -2.0]), covariance))
+    told = known(("a", "b"), covariance, intervals_around(np.array([1.0, -2.0]), covariance))
     assert told["parameters"] == ["a", "b"]
     assert np.array_equal(told["covariance"], np.transpose(told["covariance"]))
     low, high = told["intervals"]["b"]

@@ -12,7 +12,7 @@ from tests.benches.places import CASES
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, ComplexArray, FloatArray
 from transopt.files.names import Layout
-from transopt.identify.response import read_response
+from transopt.identify.measured_response import read_response
 
 F_HZ = np.linspace(10, 500, 50)
 S = 2j * np.pi * F_HZ

@@ -17,7 +17,7 @@ from transopt.files import containers
 from transopt.files.names import Layout, stated_units
 from transopt.files.unclear import UnclearError
 from transopt.files.units import UNITS, read_unit
-from transopt.identify.response import read_response
+from transopt.identify.measured_response import read_response
 from transopt.recordings.axes import joined, without_turning
 from transopt.recordings.recording import load_recording
 

@@ -19,7 +19,7 @@ from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
 from transopt.base.signals import FloatArray
 from transopt.files.names import Layout
 from transopt.files.unclear import UnclearError
-from transopt.identify.response import read_response
+from transopt.identify.measured_response import read_response
 from transopt.recordings.settings import Recordings
 from transopt.recordings.tap import prepare, read_recordings
 

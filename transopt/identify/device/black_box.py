@@ -12,9 +12,9 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.signals import ComplexArray, FloatArray
-from transopt.identify.black_box import at_rest, least_width, vector_fit
 from transopt.identify.device.chain import GripResponse
 from transopt.identify.device.response import Instrument, Slope, sampled_response
+from transopt.identify.response_fit import at_rest, least_width, vector_fit
 from transopt.identify.squares import Squares
 from transopt.plant.state_space import StateSpace
 

@@ -35,7 +35,7 @@ from transopt.identify.device.response import (
     Instrument,
     sampled_response,
 )
-from transopt.identify.fit import around, quantile
+from transopt.identify.fit import intervals_around, quantile
 from transopt.identify.likelihood import Maximum
 
 RANDOM_STARTS = 6
@@ -142,7 +142,7 @@ class ChainFit:
         """
         names, values, matrix = self.coordinates.stated(self.unknowns)
         covariance = matrix @ self.covariance @ matrix.T
-        spans = around(values, covariance)
+        spans = intervals_around(values, covariance)
         for j, value in enumerate(values[: len(SHARED)]):
             factor = factor_of(float(np.sqrt(covariance[j, j]) / value))
             spans[j] = value / factor, value * factor

@@ -24,7 +24,7 @@ from transopt.identify.device.effects import (
 )
 from transopt.identify.device.response import ACCELERATION, Instrument
 from transopt.identify.device.result import Candidate, Kind
-from transopt.identify.device.trials import BAND_HZ, Grip, low_coherence
+from transopt.identify.device.trials import BAND_HZ, Grip, incoherent_bands
 from transopt.identify.device.validation import Model, called, modelled
 from transopt.identify.findings import Finding, beside
 from transopt.identify.measurement import Measurement
@@ -250,7 +250,7 @@ def advice(grips: Sequence[Grip], model: Model, instrument: Instrument, played_N
     """Sentences that tell what to record again, and where."""
     said = []
     for grip in grips:
-        for band in low_coherence(grip.response):
+        for band in incoherent_bands(grip.response):
             said.append(
                 f"coherence low at {_band(*band)} at {called(grip.grip_N)}: sweep there, with more current (record "
                 "sweep --low, --high, --amplitude)"

@@ -173,7 +173,7 @@ def _ready(
             "period_s): give the sweeps too"
         )
     transients = [*transients, *(run for run in runs if run.held_out and run.period_s is None)]
-    begun = {id(run): _begun_late(run) for run in transients}
+    begun = {id(run): begun_late(run) for run in transients}
     kept, late = [run for run in transients if not begun[id(run)]], [said for each in begun.values() for said in each]
     moved, judged, delayed = _on_one_clock(sweeps, kept, settings)
     records = sort_trials(moved, judged, settings.amplifier, settings.scene_plant, tick=lambda: tick("responses"))
@@ -234,16 +234,6 @@ def _at_use(
     known = [run for run in runs if run.grip_N is not None and within(run.grip_N, recorded_N)]
     used = [missed(chosen.model, run.grip_N or 0.0, chosen.instrument, run) for run in known]
     return chosen.error.model_copy(update={"at_use": at_use(used, chosen.error)}), used
-
-
-def _begun_late(run: Measurement) -> list[Finding]:
-    """Find a burst whose record begins within it: the missing beginning would look like an error of the model."""
-    signals = (
-        ("command", run.command, "A"),
-        ("current", run.current, "A"),
-        ("acceleration", run.acceleration, "m/s^2"),
-    )
-    return begun_late(run.name, signals)
 
 
 def _largest_A(grip_N: float, runs: Sequence[Measurement]) -> float:

@@ -13,7 +13,7 @@ from scipy import linalg
 
 from transopt.base.recursions import LinearSystem
 from transopt.base.signals import ComplexArray, FloatArray
-from transopt.identify.amplifier_response import sampled_response as amplifier_response
+from transopt.identify.amplifier_response import sampled
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.discretise import acting_states, split_delay
 from transopt.plant.state_space import StateSpace
@@ -282,7 +282,7 @@ def current_response(instrument: Instrument, frequencies_Hz: FloatArray) -> Comp
     amplifier, dt_s = instrument.amplifier, instrument.dt_s
     if amplifier is None:
         return np.asarray(np.exp(-2j * np.pi * frequencies_Hz * dt_s))
-    return amplifier_response(frequencies_Hz, amplifier.pole_Hz, amplifier.delay_s, dt_s)
+    return sampled(frequencies_Hz, amplifier.pole_Hz, amplifier.delay_s, dt_s)[0]
 
 
 def sampled_response(

@@ -386,7 +386,7 @@ def _band_Hz(grip_N: float) -> tuple[float, float]:
     return BAND_HZ if grip_N > 0 else FREE_BAND_HZ
 
 
-def low_coherence(response: GripResponse) -> list[tuple[float, float]]:
+def incoherent_bands(response: GripResponse) -> list[tuple[float, float]]:
     """Bands [Hz] within 2 (free device: 20) to 800 Hz with low coherence or without excitation."""
     e, (low, high) = response.estimate, _band_Hz(response.grip_N)
     inside = (e.frequencies_Hz >= low) & (e.frequencies_Hz <= high)

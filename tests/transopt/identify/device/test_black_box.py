@@ -6,9 +6,9 @@ import pytest
 from tests.benches.identification import DEFAULT
 from tests.transopt.identify.device.conftest import INSTRUMENT, Respond
 from transopt.base.errors import InputError
-from transopt.identify.black_box import RESOLVED
 from transopt.identify.device.black_box import BlackBox, fit_black_box
 from transopt.identify.device.chain import GripResponse
+from transopt.identify.response_fit import RESOLVED
 from transopt.identify.spectrum import TransferEstimate
 from transopt.plant.chain import Link, chain
 from transopt.plant.state_space import StateSpace

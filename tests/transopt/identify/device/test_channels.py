@@ -116,7 +116,7 @@ def test_the_sums_of_squares_of_a_grip_do_not_depend_on_the_channels_of_the_othe
     def around(responses: list[GripResponse]) -> tuple[Maximum, float]:
         search = ChainSearch(responses, coordinates, INSTRUMENT, DEFAULT.force_per_current_N_A, free)
         residuals, _ = search.likelihood.evaluate(at)
-        return search.likelihood.around(at, *search.bounds(at), free), float(residuals @ residuals)
+        return search.likelihood.maximum_at(at, *search.bounds(at), free), float(residuals @ residuals)
 
     together, whole = around(measured)
     assert together.total == pytest.approx(whole)

@@ -27,7 +27,7 @@ from problems.generators.tapping_trials import (
     write_trials,
 )
 from transopt.base.signals import FloatArray
-from transopt.identify.hand.chain import ChainFit, fit_chain, hand_part
+from transopt.identify.hand.fourth_order import FourthOrderFit, fit_fourth_order, hand_part
 from transopt.identify.hand.lines import HandFit, fit_hand
 from transopt.identify.hand.tap import HandTap, cut_tap, usable_taps
 from transopt.identify.measurement import load_measurements
@@ -78,10 +78,10 @@ class Session:
             for j in range(grips.size)
         ]
 
-    def fitted(self, seed: int) -> tuple[HandFit, ChainFit]:
+    def fitted(self, seed: int) -> tuple[HandFit, FourthOrderFit]:
         found = self.taps(seed)
         hand = fit_hand(found, resamples=200)
-        return hand, fit_chain(found, hand, starts=3)
+        return hand, fit_fourth_order(found, hand, starts=3)
 
 
 @cache
@@ -253,7 +253,7 @@ def test_taps_designed_with_it_are_within_a_point_of_who_knows_the_truth(
         runs = load_measurements(write_trials(tapping_trials(seed, hand="fourth_order"), tmp_path / f"{seed}"))
         taps, _ = usable_taps(runs)
         hand = fit_hand(taps, resamples=200)
-        part = hand_part(hand, fit_chain(taps, hand), runs)
+        part = hand_part(hand, fit_fourth_order(taps, hand), runs)
         assert (part.kind, part.shortfalls) == ("fourth_order", [])
         save_part(tmp_path / "MODEL.json", "hand", part)
         mine = transopt.solve(load_scene(scene, model=tmp_path / "MODEL.json"), wanted)

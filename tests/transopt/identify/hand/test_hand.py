@@ -26,7 +26,7 @@ from transopt.base.plotting import save_figure
 from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
 from transopt.base.signals import FloatArray, Signal
 from transopt.identify.device.chain import HAND
-from transopt.identify.hand.chain import NAMES, _simulate, fit_chain
+from transopt.identify.hand.fourth_order import NAMES, _simulate, fit_fourth_order
 from transopt.identify.hand.lines import LEAST_TRIALS, HandFit, fit_hand
 from transopt.identify.hand.tap import HandTap, cut_tap, fit_tap, onset, tap_of, usable_taps
 from transopt.identify.measurement import Measurement
@@ -223,7 +223,7 @@ def test_the_fourth_order_hand_comes_back_where_hands_do_not_scatter() -> None:
     shortfalls = second.shortfalls()
     assert len(shortfalls) == 1
     assert "the stylus moves within the grip" in shortfalls[0]
-    fit = fit_chain(found, second, starts=3)
+    fit = fit_fourth_order(found, second, starts=3)
     assert fit.stylus_mass_kg == pytest.approx(FOURTH_ORDER_STYLUS_KG, rel=0.01)
     for name, tolerance in zip(HAND, (0.02, 0.02, 0.02, 0.1, 0.03), strict=True):
         assert fit.lines[name].at(5.5) == pytest.approx(getattr(FOURTH_ORDER_HAND, name).at(5.5), rel=tolerance)
@@ -240,7 +240,7 @@ def test_the_fourth_order_hand_comes_back_where_hands_do_not_scatter() -> None:
 
 
 def test_taps_of_one_rigid_mass_do_not_determine_a_skin(cut_taps: list[HandTap], hand: HandFit) -> None:
-    fit = fit_chain(cut_taps[::4], fit_hand(cut_taps[::4]), starts=1)
+    fit = fit_fourth_order(cut_taps[::4], fit_hand(cut_taps[::4]), starts=1)
     assert "hand.skin_stiffness_N_m" in fit.undetermined
     assert "not determined by these taps" in fit.word()
     # What both models have in common is known all the same.

@@ -21,7 +21,7 @@ from scipy import signal
 from transopt.base.signals import FloatArray
 from transopt.identify.device.chain import HAND, Coordinates
 from transopt.identify.device.response import flow
-from transopt.identify.fit import Fit, around, known, quantile
+from transopt.identify.fit import Fit, intervals_around, known, quantile
 from transopt.identify.hand.lines import LOUDER, MOST_UNEXPLAINED, HandFit
 from transopt.identify.hand.tap import LOWPASS_HZ, REACTION_S, HandTap
 from transopt.identify.measurement import Measurement
@@ -50,7 +50,7 @@ _SKIN_HZ, _SKIN_DAMPING, _STYLUS_SHARE = 80.0, 0.3, 0.2  # guess: skin resonance
 
 
 @dataclass(frozen=True)
-class ChainFit(Fit):
+class FourthOrderFit(Fit):
     """The fourth-order hand of one session.
 
     Attributes
@@ -282,7 +282,7 @@ def _simulate(stylus: FloatArray, hand: FloatArray, dt_s: FloatArray, force: Flo
     return np.asarray(found - after * force[:, :1])
 
 
-def fit_chain(taps: Sequence[HandTap], hand: HandFit, *, starts: int = STARTS) -> ChainFit:
+def fit_fourth_order(taps: Sequence[HandTap], hand: HandFit, *, starts: int = STARTS) -> FourthOrderFit:
     """Stylus mass and five lines over grip from all taps together.
 
     Parameters
@@ -342,7 +342,7 @@ def _with_uncertainty(
     scale: FloatArray,
     hand: HandFit,
     costs: tuple[float, ...],
-) -> ChainFit:
+) -> FourthOrderFit:
     """The fit at an optimum theta (11,), with covariance, intervals and undetermined parameters.
 
     Parameters
@@ -368,7 +368,7 @@ def _with_uncertainty(
     entangled = [
         (names[i], names[j]) for i in range(6) for j in range(i + 1, 6) if abs(correlation[i, j]) > ENTANGLED
     ]
-    return ChainFit(
+    return FourthOrderFit(
         stylus_mass_kg=float(found[0]),
         lines={name: LinearInGrip(*found[1 + 2 * j : 3 + 2 * j].tolist()) for j, name in enumerate(HAND)},
         grips_N=tuple(hand.recorded_N),
@@ -376,7 +376,7 @@ def _with_uncertainty(
         rate_Hz=float(1 / session.dt_s.max()),
         window_s=float(session.window_s.min()),
         heard_Hz=hand.heard_Hz,
-        intervals=around(found, of_lines, T - p),
+        intervals=intervals_around(found, of_lines, T - p),
         covariance=of_lines,
         uncertain=dict(zip(names, uncertain.tolist(), strict=True)),
         entangled=tuple(entangled),
@@ -388,7 +388,7 @@ def _with_uncertainty(
     )
 
 
-def hand_part(fit: HandFit, chain: ChainFit, runs: Sequence[Measurement]) -> SecondOrderHand | FourthOrderHand:
+def hand_part(fit: HandFit, chain: FourthOrderFit, runs: Sequence[Measurement]) -> SecondOrderHand | FourthOrderHand:
     """The hand for the model file: of fourth order if that is better and without shortfalls, else of second order.
 
     Raises

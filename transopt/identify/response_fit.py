@@ -1,4 +1,4 @@
-"""The black box: a stable real state space fitted to a frequency response, for devices that are no drive chain.
+"""A stable real state space fitted to one frequency response, by vector fitting.
 
 Poles come from vector fitting (Gustavsen and Semlyen 1999, "Rational approximation of frequency domain responses by
 vector fitting", IEEE Transactions on Power Delivery 14 (3)), the output row from linear least squares.
