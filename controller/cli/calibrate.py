@@ -190,10 +190,10 @@ def hand_table(found: "Calibration", hands: "Population") -> "Table":
     table = Table.of(title, heads, words=("parameter", "unit", "told by"))
     values = [*map(list, zip(*found.at_ends, strict=True))]
     for name, at_ends in zip(HAND, values, strict=True):
-        prior, own, told = found.told[name]
+        prior, own, by_taps = found.determined[name]
         row = [f"{value:.3g}" for value in at_ends]
         table.add_row(
-            name, unit_of(name), *row, f"{100 * own:.1f}", f"{100 * prior:.0f}", "taps" if told else "population"
+            name, unit_of(name), *row, f"{100 * own:.1f}", f"{100 * prior:.0f}", "taps" if by_taps else "population"
         )
     return table
 

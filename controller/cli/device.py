@@ -27,9 +27,9 @@ DT_S = 1e-4
 TAPS = ("0.1,3", "0.2,3", "0.3,3", "0.4,3")
 
 
-def _taps(said: list[str]) -> list[tuple[float, float]]:
+def _taps(lines: list[str]) -> list[tuple[float, float]]:
     taps = []
-    for words in said:
+    for words in lines:
         speed, _, grip = words.partition(",")
         try:
             taps.append((float(speed), float(grip)))

@@ -36,7 +36,7 @@ class Series:
     planned : with a file for each in `paths`.
     settings : of the device, by what it says of itself.
     remedy : options of `transopt-play check` with which these settings pass the bring-up check.
-    told : what is said once all trials are there.
+    closing : what is said once all trials are there.
     gain : scale of what is played; None for 1.
     as_held : whatever the grip is.
     device : its encoder and sensors.
@@ -48,7 +48,7 @@ class Series:
     paths: Sequence[Path]
     settings: Callable[[HelloReply], Settings]
     remedy: str = ""
-    told: str = ""
+    closing: str = ""
     gain: float | None = None
     as_held: bool = False
     device: DeviceFile = BUILT_IN
@@ -133,8 +133,8 @@ def record_sweeps(bench: Bench, series: Series) -> None:
             finally:
                 device.listeners.remove(shown.take)
     console.print(sweep_table(written, title))
-    whole = len(written) == len(planned) and series.told
-    files = series.told if whole else f"{out}: {len(written)} of {len(planned)} trials, all whole"
+    whole = len(written) == len(planned) and series.closing
+    files = series.closing if whole else f"{out}: {len(written)} of {len(planned)} trials, all whole"
     console.print(files)
     if stopped:
         typer.echo(STOPPED, err=True)
@@ -178,7 +178,7 @@ def simulated_series(
         planned,
         [out / name for name in names],
         lambda _: settings,
-        told=(
+        closing=(
             f"{out}: {words}, {names[0]} to {names[-1]}\n"
             f"next: transopt identify {purpose} {out}/{purpose}_*.npz --out MODEL.json{larger}"
         ),

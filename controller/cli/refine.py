@@ -130,7 +130,6 @@ def refine(
         from transopt.cli.layout import layout
         from transopt.design.resolve import resolve
 
-        said = _stated(loaded, "files", accelerometer_Hz)
         step(
             loaded,
             library,
@@ -140,7 +139,7 @@ def refine(
             resolve,
             rounds,
             taps,
-            said,
+            _stated(loaded, "files", accelerometer_Hz),
             out,
         )
         return

@@ -92,9 +92,11 @@ def finish(
     save_part(out, name, part)
     tell(*filter(None, (f"{out}, {draw(out, name, figure).name}", note)))
     # The file has one sentence, in which the shortfalls come last; here each has a line of its own.
-    said = part.verdict.removesuffix("; ".join(part.shortfalls)).rstrip(":; ")
+    verdict = part.verdict.removesuffix("; ".join(part.shortfalls)).rstrip(":; ")
     tell(
-        f"verdict: {said}", *(f"short: {each}" for each in part.shortfalls), style="red" if part.shortfalls else None
+        f"verdict: {verdict}",
+        *(f"short: {each}" for each in part.shortfalls),
+        style="red" if part.shortfalls else None,
     )
     if part.shortfalls:
         raise typer.Exit(1)

@@ -64,8 +64,8 @@ def verify(library: LibraryFile) -> None:
     if cool:
         console.print(verify_table(cool, "cool commands, for a warm coil"))
     failed = sum(bool(check.shortfalls) for check in checks)
-    for said in misstated:
-        console.print(f"{library}: {said}", style="red")
+    for misstatement in misstated:
+        console.print(f"{library}: {misstatement}", style="red")
     if loaded.claim:
         console.print(loaded.claim)
     console.print(f"{len(checks) - failed} of {len(checks)} entries certified and replayed clean")
@@ -104,12 +104,12 @@ def show(
             line(TRADE_LEGEND)
     if report:
         console.print(certificate_table(loaded, str(library)))
-    for said, colour in lines(
+    for text, colour in lines(
         None if unproven else loaded, Look.of_library(loaded, proven=not unproven), console.width
     ):
-        line(said, colour)
-    if said := cool_summary(loaded):
-        line(said)
+        line(text, colour)
+    if text := cool_summary(loaded):
+        line(text)
     line("Next:")
     for command in next_commands(library, loaded.scene())[table:]:  # the first is this one
         line(f"  {command}")
@@ -210,8 +210,8 @@ def export(
     )
     console = terminal.console()
     console.print(drive_table(loaded, left))
-    for said in (TRADE_LEGEND, *drive_remarks(loaded, left)):
-        console.print(said)
+    for remark in (TRADE_LEGEND, *drive_remarks(loaded, left)):
+        console.print(remark)
     for written in files:
         typer.echo(f"{terminal.harmless(str(written))} written")
     if any(each.limits_left for each in left):

@@ -130,8 +130,8 @@ def plant_sweep(
     fit = swept.fit
     by_voltage = fit.plant.driven_by.unit == "V"
     _check_plausible(sweep, fit, resonance_Hz, rms_g, rms_V if by_voltage else rms_A, accept=accept)
-    said = f"{fit.plant.order} states to {swept.answered} of {swept.bands} bands of the sweep"
-    _say_and_save(fit, said, swept.notes, out, f"+-{100 * swept.unsure:.2g} % by the record's noise")
+    made_of = f"{fit.plant.order} states to {swept.answered} of {swept.bands} bands of the sweep"
+    _say_and_save(fit, made_of, swept.notes, out, f"+-{100 * swept.unsure:.2g} % by the record's noise")
 
 
 def _check_options(driven_by: str | None, out: Path) -> None:

@@ -115,10 +115,10 @@ def plant_new(
         "quality_total": quality_total,
         "stiffness_N_m": stiffness_N_m,
     }
-    said = {key: each for key, each in further.items() if each is not None}
-    _is_odd({**stated, **said}, accept)  # before anything is made of it
-    if said:
-        stated = _completed(stated, said)
+    given = {key: each for key, each in further.items() if each is not None}
+    _is_odd({**stated, **given}, accept)  # before anything is made of it
+    if given:
+        stated = _completed(stated, given)
     file = name if name.suffix == ".toml" else name.with_name(f"{name.name}.toml")
     missing = [key for key in needed(kind, driven_by) if key not in stated]
     if missing and asking.on_a_terminal():
@@ -179,9 +179,9 @@ def _is_odd(stated: dict[str, Any], accept: bool) -> bool:
     content = {f"{key}_{unit}" if key in ("rated", "peak") else key: value for key, value in stated.items()}
     found = implausible(content)
     if found and not accept:
-        key, said = found[0].split(" = ", 1)
+        key, sentence = found[0].split(" = ", 1)
         option = option_of(key.removesuffix(f"_{unit}") if key.startswith(("rated", "peak")) else key)
-        raise InputError(f"{option} = {said}; {ACCEPTED}")
+        raise InputError(f"{option} = {sentence}; {ACCEPTED}")
     return bool(found)
 
 

@@ -29,7 +29,7 @@ ROWS, COLUMNS = 8, 64  # characters of a plot
 def answered(
     read: Callable[[Answer], Found],
     words: Vocabulary,
-    said: Callable[[Found], str],
+    describe: Callable[[Found], str],
     doubt: Callable[[Found], UnclearError | None] = lambda _: None,
     odd: Callable[[Found], float] = lambda _: 0.0,
     units: str = "",
@@ -40,7 +40,7 @@ def answered(
     ----------
     read : reads the files with an answer beside what the command line states.
     words : of the files.
-    said : what was found, in a few words.
+    describe : what was found, in a few words.
     doubt : what is implausible of it, as a question whose answers put it right; on a terminal it is asked.
     odd : how unusual it is; the least unusual is proposed first.
     units : that the command line states, which what is proposed repeats.
@@ -62,7 +62,7 @@ def answered(
             if answer is not start:
                 typer.echo(f"the same without being asked: {options(answer)}")
             return found
-        tried = trials(read, said, doubt, odd, unclear, answer)
+        tried = trials(read, describe, doubt, odd, unclear, answer)
         if not asking.on_a_terminal():
             raise InputError(in_a_line(unclear, tried)) from None
         answer = joined(answer, _asked(unclear, tried, words))
@@ -76,7 +76,7 @@ def measurements(files: Sequence[Path], columns: str, units: str, rate_Hz: float
     InputError : see `answered`.
     """
 
-    def said(runs: Sequence[Measurement]) -> str:
+    def describe(runs: Sequence[Measurement]) -> str:
         recorded = [of for of in WORDS.quantities if getattr(runs[0], of, None) is not None]
         size = max(getattr(runs[0], of).values.size for of in recorded)
         return f"{size} samples of {', '.join(recorded)}"
@@ -84,7 +84,7 @@ def measurements(files: Sequence[Path], columns: str, units: str, rate_Hz: float
     def read(answer: Answer) -> list[Measurement]:
         return load_measurements(files, layout(columns, units, rate_Hz, answer))
 
-    return answered(read, WORDS, said, units=units)
+    return answered(read, WORDS, describe, units=units)
 
 
 def _asked(unclear: UnclearError, tried: Trials, words: Vocabulary) -> Answer:
@@ -99,8 +99,8 @@ def _asked(unclear: UnclearError, tried: Trials, words: Vocabulary) -> Answer:
         for line in sketched(columns_of(unclear.file, words)):
             console.print(line)
     console.print(f"{shown_path(unclear.file)}{unclear.problem}")
-    for number, (answer, said) in enumerate(tried.good, 1):
-        console.print(f"  {number}  {options(answer)}: {said}")
+    for number, (answer, found) in enumerate(tried.good, 1):
+        console.print(f"  {number}  {options(answer)}: {found}")
 
     def parsed(text: str) -> Answer:
         if text.isdecimal() and 1 <= int(text) <= len(tried.good):

@@ -144,10 +144,10 @@ def _unfit(scene: "Scene", accepted: bool) -> str:
     ------
     InputError : it is not, and that is not accepted.
     """
-    said = scene.unfit_model()
-    if said and not accepted:
-        raise InputError(f"{said}; identify it again, or solve with it as it is by --accept-unfit-model")
-    return said
+    unfit = scene.unfit_model()
+    if unfit and not accepted:
+        raise InputError(f"{unfit}; identify it again, or solve with it as it is by --accept-unfit-model")
+    return unfit
 
 
 def _build(wanted: Wanted) -> "tuple[Build, list[str]]":
@@ -225,10 +225,10 @@ def _print(console: "Console", build: "Build", wanted: Wanted, names: "list[str]
     if wanted.report:
         console.print(certificate_table(build, build.scene.name))
         line(summary(build))
-    for said, colour in lines(build, Look.of_build(build), console.width):
-        line(said, colour)
-    if build.library is not None and (said := cool_summary(build.library)):
-        line(said)
+    for text, colour in lines(build, Look.of_build(build), console.width):
+        line(text, colour)
+    if build.library is not None and (text := cool_summary(build.library)):
+        line(text)
     doubtful = {tap.recording.name for reference in build.references for tap in reference.taps if tap.notes}
     if doubtful:
         line(f"recordings with notes, see the report: {len(doubtful)}", "yellow")
@@ -242,8 +242,8 @@ def _print(console: "Console", build: "Build", wanted: Wanted, names: "list[str]
         line(refused, "red")
     if build.refinement is not None:
         line(refinement_summary(build.refinement), "red" if build.refinement.shortfall else None)
-    for said in implausible_lines([tap for reference in build.references for tap in reference.taps]):
-        line(f'{said} (recordings.implausible = "accept")', "red")
+    for text in implausible_lines([tap for reference in build.references for tap in reference.taps]):
+        line(f'{text} (recordings.implausible = "accept")', "red")
     if unfit:
         line(f"{unfit} (--accept-unfit-model)", "red")
     report = next(name for name in names if name.endswith(".md"))

@@ -229,12 +229,12 @@ def _vary(request: Request, plan: "Plan", pool: "Pool") -> int:
     console = terminal.console()
     if (shown := study_table(plan, rows)) is not None:
         console.print(shown)
-    for said in (
+    for text in (
         *study_answer(plan, rows),
         f"{summary(rows)}.",
         _written(request.out, "tap_error.png"),
     ):
-        console.print(said)
+        console.print(text)
     return exit_code(rows)
 
 

@@ -145,10 +145,10 @@ class AmplifierFit(Fit):
     def stated(self) -> dict[str, Any]:
         (low, high), half_s = self.intervals["delay_s"], 0.5 * self.dt_s
         fitted = PARAMETERS[:2]
-        told = known(fitted, self.covariance[:2, :2], np.array([self.intervals[name] for name in fitted]))
-        told["intervals"] |= {"gain": self.intervals["gain"], "delay_with_hold_s": (low + half_s, high + half_s)}
+        stated = known(fitted, self.covariance[:2, :2], np.array([self.intervals[name] for name in fitted]))
+        stated["intervals"] |= {"gain": self.intervals["gain"], "delay_with_hold_s": (low + half_s, high + half_s)}
         values = (*PARAMETERS, "delay_with_hold_s")
-        return {**told, **{name: getattr(self, name) for name in values}}
+        return {**stated, **{name: getattr(self, name) for name in values}}
 
 
 def fit_pole(

@@ -33,7 +33,7 @@ FARTHEST = 4.0  # bound of the search, in standard deviations of the population 
 LOOSE = 30.0  # factor on the sensors' noise in the first search, so that it finds the valley of the best hand
 ROUNDS = 3  # searches after the first, each with the residuals' size that the previous one left
 GRIP_ERROR = 0.03  # relative standard deviation of a grip reading: a hysteresis of 5 % to either side
-TOLD = 0.7  # largest posterior over prior deviation at which the taps count as determining a parameter
+DETERMINED = 0.7  # largest posterior over prior deviation at which the taps count as determining a parameter
 UNEXPLAINED = 2.25  # mean square of the residuals over the sensors' noise above which the verdict mentions it
 ONE_GRIP = 1.2  # largest over smallest grip below which the taps cannot show how the hand changes with grip
 LEAST_SHARE = 0.01  # least value of a parameter, as a share of the smaller of its values at the two ends
@@ -98,32 +98,32 @@ class Calibration:
         return np.exp(self.logarithms).reshape(2, -1)
 
     @property
-    def told(self) -> dict[str, tuple[float, float, bool]]:
+    def determined(self) -> dict[str, tuple[float, float, bool]]:
         """Name of `HAND` -> relative deviations of prior and posterior, and whether the taps determine it.
 
         Otherwise its value is mostly that of the population.
         """
         rows = zip(HAND, self.prior_deviation.tolist(), self.deviation.tolist(), strict=True)
-        return {name: (prior, own, own <= TOLD * prior) for name, prior, own in rows}
+        return {name: (prior, own, own <= DETERMINED * prior) for name, prior, own in rows}
 
     @property
     def in_words(self) -> str:
         """How certain the hand is, which parameters come from the population, and whether the residuals are large."""
-        known = [f"{name} to {100 * own:.2g} %" for name, (_, own, told) in self.told.items() if told]
-        left = [name for name, (_, _, told) in self.told.items() if not told]
+        known = [f"{name} to {100 * own:.2g} %" for name, (_, own, by_taps) in self.determined.items() if by_taps]
+        left = [name for name, (_, _, by_taps) in self.determined.items() if not by_taps]
         taps = len(self.grips_N)
-        said = f"the hand by {taps} tap{'s' if taps > 1 else ''} on a drive that is taken as known: "
-        said += f"at {self.grip_N:.2g} N {', '.join(known) or 'nothing'} (one standard deviation)"
+        sentence = f"the hand by {taps} tap{'s' if taps > 1 else ''} on a drive that is taken as known: "
+        sentence += f"at {self.grip_N:.2g} N {', '.join(known) or 'nothing'} (one standard deviation)"
         if left:
-            said += f"; left to the population: {', '.join(left)}: tap at other grips and speeds to know them"
+            sentence += f"; left to the population: {', '.join(left)}: tap at other grips and speeds to know them"
         if max(self.grips_N) < ONE_GRIP * min(self.grips_N):
-            said += "; at other grips the population speaks, for all taps are of one: tap at more"
+            sentence += "; at other grips the population speaks, for all taps are of one: tap at more"
         if (worst := max(self.scatter)) > UNEXPLAINED:
-            said += (
+            sentence += (
                 f"; the taps are {np.sqrt(worst):.1f} times as far from any such hand as the sensors' noise "
                 "explains, and count by so much less: identify the drive, or tap with a steadier hand"
             )
-        return said
+        return sentence
 
 
 class _Posterior:

@@ -11,7 +11,7 @@ LEAST_TRIALS = 2
 JITTER_NOTED, JITTER_LIMIT = 0.01, 0.2  # rms deviation from the uniform grid, in steps
 END_SAMPLES, END_PART = 3, 0.1  # number of last samples; their largest size as a share of the peak
 COHERENT = 0.8  # least coherence of a bin that counts
-FATAL, TOLD = True, False  # whether a finding refuses the records
+FATAL, NOTED = True, False  # whether a finding refuses the records
 
 
 class Fault(StrEnum):
@@ -65,14 +65,14 @@ class Check(Enum):
     """
 
     # fmt: off
-    JITTER_NOTED = Fault.JITTER, TOLD, JITTER_NOTED, (
+    JITTER_NOTED = Fault.JITTER, NOTED, JITTER_NOTED, (
         "time stamps {steps:.2g} steps (rms) off the uniform grid, resampled to it: phases are off by "
         "{phase_deg:.2g} deg at 1 kHz, delays by {late_us:.2g} us")
     JITTERED = Fault.JITTER, FATAL, JITTER_LIMIT, (
         "time stamps {steps:.2g} steps (rms) off the uniform grid, resampled to it: phases are off by "
         "{phase_deg:.2g} deg at 1 kHz, delays by {late_us:.2g} us; must be at most {limit:g}; sample by the servo's"
         " timer and record again")
-    MISSING = Fault.MISSING, TOLD, None, "{missing}"
+    MISSING = Fault.MISSING, NOTED, None, "{missing}"
     STILL = Fault.NO_EXCITATION, FATAL, None, "{quantity} stays at {value:g} {unit}; check {what} and record again"
     SATURATED = Fault.SATURATED, FATAL, None, (
         "{count} samples at the {side} value {value:.4g} {unit}, first at {first_s:.4g} s; lower amplitude or "
@@ -80,15 +80,15 @@ class Check(Enum):
     CLIPPED = Fault.CLIPPED, FATAL, None, (
         "{quantity}: {count} samples at the {side} value {value:.4g} {unit}, first at {first_s:.4g} s; lower the "
         "amplitude, or take a sensor of wider range, and record again")
-    CUT_SHORT = Fault.CUT_SHORT, TOLD, END_PART, (
+    CUT_SHORT = Fault.CUT_SHORT, NOTED, END_PART, (
         "{quantity} ends {last:.3g} {unit} off its rest, {part:.0%} of its peak, must be below {limit:.0%}; record "
         "until everything rests")
-    BEGUN_LATE = Fault.CUT_SHORT, TOLD, END_PART, (
+    BEGUN_LATE = Fault.CUT_SHORT, NOTED, END_PART, (
         "{quantity} begins {first:.3g} {unit} off its rest, {part:.0%} of its peak, must be below {limit:.0%}: what "
         "came before is not known, so that nothing is judged by this record; begin it before the command does")
     RATES = Fault.RATES, FATAL, None, (
         "{rate_Hz:.6g} Hz, {first} {wanted_Hz:.6g} Hz: must be one rate; record all trials at the servo's")
-    FEW_CYCLES = Fault.TOO_FEW_CYCLES, TOLD, LEAST_CYCLES, (
+    FEW_CYCLES = Fault.TOO_FEW_CYCLES, NOTED, LEAST_CYCLES, (
         "{cycles:.2g} cycles per octave below {up_to_Hz:.3g} Hz in {trials} trials, must be at least {limit:g}; "
         "{longer}add trials from {low_Hz:.3g} Hz on")
     HARDLY_ANY_CYCLES = Fault.TOO_FEW_CYCLES, FATAL, LEAST_CYCLES, (
@@ -96,7 +96,7 @@ class Check(Enum):
         "{longer}add trials from {low_Hz:.3g} Hz on")
     FEW_BINS = Fault.TOO_FEW_CYCLES, FATAL, None, (
         "resolves {bins} bands of frequency, at least {least} are needed; sweep longer and wider")
-    INCOHERENT = Fault.INCOHERENT, TOLD, COHERENT, (
+    INCOHERENT = Fault.INCOHERENT, NOTED, COHERENT, (
         "{coherence:.2f} at {first_Hz:.3g} to {last_Hz:.3g} Hz, must be {limit:g}; record again there with "
         "more current")
     CURRENT_ALONE = Fault.INCOHERENT, FATAL, None, (
@@ -126,21 +126,21 @@ class Check(Enum):
     DELAY_APART = Fault.SHIFTED, FATAL, None, (
         "the current comes {samples:+.2f} samples later than in the other files; read both at the same tick and "
         "record again")
-    CURRENT_SHIFTED = Fault.SHIFTED, TOLD, None, (
+    CURRENT_SHIFTED = Fault.SHIFTED, NOTED, None, (
         "current_A comes {samples} samples {way} than the known amplifier makes it of command_A; read command, "
         "current and acceleration at the same tick, or identify this amplifier into --out first")
-    DELAYED = Fault.SHIFTED, TOLD, None, (
+    DELAYED = Fault.SHIFTED, NOTED, None, (
         "comes {late_ms:.4g} ms ({samples} samples) later than any device answers: taken out of all files as a pure"
         " delay of its channel; about a sample of it may be left in the masses: record current and acceleration on "
         "one clock")
-    BANDWIDTH = Fault.BANDWIDTH, TOLD, None, (
+    BANDWIDTH = Fault.BANDWIDTH, NOTED, None, (
         "taken as ideal, so that its delay goes into the masses; add # accelerometer_Hz: 2500, or what it has")
     NO_GRIP = Fault.MISSING_GRIP, FATAL, None, "no grip stated; add # grip_N: 3 (0 if nobody holds it)"
-    FEW_TRIALS = Fault.MISSING_GRIP, TOLD, LEAST_TRIALS, (
+    FEW_TRIALS = Fault.MISSING_GRIP, NOTED, LEAST_TRIALS, (
         "{trials} trial, at least {limit:g} are needed; record another one of the other polarity")
-    ONE_POLARITY = Fault.MISSING_GRIP, TOLD, None, (
+    ONE_POLARITY = Fault.MISSING_GRIP, NOTED, None, (
         "all trials have one polarity, so that distortion of even order stays; record reversed ones too")
-    GRIP_OUTSIDE = Fault.MISSING_GRIP, TOLD, None, (
+    GRIP_OUTSIDE = Fault.MISSING_GRIP, NOTED, None, (
         "grip {grip_N:.3g} N, sweeps at {recorded} N: not judged; record sweeps there")
     # fmt: on
 
@@ -154,7 +154,7 @@ class Check(Enum):
 
 def beside(where: str, text: str, cause: str = "") -> Finding:
     """The finding of an effect beside the model; `cause` is its name in the model file, empty if it has none."""
-    return Finding(Fault.BESIDE, where, text, TOLD, cause)
+    return Finding(Fault.BESIDE, where, text, NOTED, cause)
 
 
 def refuse(findings: Iterable[Finding]) -> list[Finding]:

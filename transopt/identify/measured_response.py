@@ -87,31 +87,31 @@ def read_response(
         refuse_idle(layout, [path.suffix])
         with np.errstate(all="ignore"):  # an overflow from absurd values becomes inf, which the check refuses
             raw = read_raw(path.suffix, data, layout, WORDS)
-            frequencies_Hz, response, said = _of_table(raw)
+            frequencies_Hz, response, meanings = _of_table(raw)
             found = _checked(frequencies_Hz, scale * response)
-        _agreeing(said, driven_by)
+        _agreeing(meanings, driven_by)
     notes = [each.note for each in raw.meanings.values()]
     # A level in dB is not converted; its scale states the value at 0 dB.
-    stated = next((each.stated for each in said.values() if each.stated and not math.isnan(each.factor)), "")
+    stated = next((each.stated for each in meanings.values() if each.stated and not math.isnan(each.factor)), "")
     if stated and not math.isclose(abs(scale), 1.0):
         notes.append(
             f"{stated} is converted to m/s^2 per A or V, and --scale {scale:g} multiplies besides: leave it out if "
             "it stands for the unit"
         )
-    per = next(iter(said.values())).per
+    per = next(iter(meanings.values())).per
     return replace(found, driven_by=driven_by or per, notes=tuple(dict.fromkeys(filter(None, notes))))
 
 
-def _agreeing(said: Mapping[str, Meaning], driven_by: str) -> None:
+def _agreeing(meanings: Mapping[str, Meaning], driven_by: str) -> None:
     """Refuse a stated input that contradicts the unit.
 
     Parameters
     ----------
-    said : meanings of the columns that have a unit of the response.
+    meanings : of the columns that have a unit of the response.
     """
     # Both parts of a complex array have the same unit.
-    keys = ["magnitude" if name.endswith(" part)") else each.quantity for name, each in said.items()]
-    for each in said.values():
+    keys = ["magnitude" if name.endswith(" part)") else each.quantity for name, each in meanings.items()]
+    for each in meanings.values():
         if driven_by and each.per and each.per != driven_by:
             unit = f"{parts(each.stated)[0]}/{INPUTS[driven_by]}"
             remedy = ",".join(f"{key}={unit}" for key in dict.fromkeys(keys))
@@ -151,19 +151,19 @@ def _of_table(raw: RawTable) -> tuple[FloatArray, ComplexArray, Mapping[str, Mea
             f"columns {quote(', '.join(raw.columns))}: a response has frequency_Hz and either magnitude (or "
             "magnitude_dB) and phase_deg (or phase_rad), or real and imaginary; name these by --columns, - skips one"
         )
-    said = {name: each for name, each in raw.meanings.items() if each.quantity in RATIOS}
-    if len({(each.per, each.slopes) for each in said.values()}) > 1:
-        listed = " and ".join(f"{name} in {each.stated or 'no stated unit'}" for name, each in said.items())
+    meanings = {name: each for name, each in raw.meanings.items() if each.quantity in RATIOS}
+    if len({(each.per, each.slopes) for each in meanings.values()}) > 1:
+        listed = " and ".join(f"{name} in {each.stated or 'no stated unit'}" for name, each in meanings.items())
         raise InputError(f"{listed}: state the unit of both by --units real=m/s^2/V,imaginary=m/s^2/V")
     values, factor = columns["frequency"]
     (one, by), (other, other_by) = columns[pair[0]], columns[pair[1]]
     frequencies_Hz = values * factor
     # Mobility and receptance are differentiated to an accelerance.
-    slopes = max(each.slopes for each in said.values())
+    slopes = max(each.slopes for each in meanings.values())
     slope = np.asarray((2j * np.pi * frequencies_Hz) ** slopes, dtype=complex)
     if pair[0] == "real":
-        return frequencies_Hz, slope * (one * by + 1j * other * other_by), said
+        return frequencies_Hz, slope * (one * by + 1j * other * other_by), meanings
     magnitude = 10 ** (one / 20) if math.isnan(by) else one * by
     if magnitude.min() < 0:
         raise InputError("a magnitude is negative: is it in dB? name the column magnitude_dB")
-    return frequencies_Hz, slope * magnitude * np.exp(1j * other * other_by), said
+    return frequencies_Hz, slope * magnitude * np.exp(1j * other * other_by), meanings

@@ -188,9 +188,9 @@ def fit_response(
     f, G = frequencies_Hz[inside], response[inside]
     needed = 2 * order + 2
     if f.size < needed:
-        said = f"{low:g} to {high:g} Hz"
+        band = f"{low:g} to {high:g} Hz"
         raise InputError(
-            f"--order {order}: needs {needed} points, {f.size} from {said}: lower it, or widen --band-Hz"
+            f"--order {order}: needs {needed} points, {f.size} from {band}: lower it, or widen --band-Hz"
         )
     largest = float(np.abs(G).max())
     if largest == 0:

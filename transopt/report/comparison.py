@@ -187,8 +187,8 @@ def comparison_summary(found: Comparison) -> str:
     claims = [f"{name}: {claim}" for name, claim in zip("AB", found.claims, strict=True) if claim]
     if found.same_content:
         return "; ".join([f"{len(found.both)} entries; A and B hold the same content", *claims[:1]])
-    said = [f"{len(found.both)} entries in both"]
-    said += [
+    sentences = [f"{len(found.both)} entries in both"]
+    sentences += [
         f"{len(nodes)} only in {name}" for name, nodes in (("A", found.only_first), ("B", found.only_second)) if nodes
     ]
     change = {node: theirs.value("tap") - ours.value("tap") for node, (ours, theirs) in found.both.items()}
@@ -196,9 +196,9 @@ def comparison_summary(found: Comparison) -> str:
         worst = max(change, key=lambda node: abs(change[node]))
         place = worst[0] if len(worst) == 1 else f"{worst[0]} m/s and {worst[1]} N"
         points = f"{100 * change[worst]:+.2g} points" if change[worst] else "nothing"
-        said.append(f"tap error changes most by {points}, at {place}")
-    said.append(f"{len(found.changes)} values stated differently")
-    return "; ".join([*said, *claims])
+        sentences.append(f"tap error changes most by {points}, at {place}")
+    sentences.append(f"{len(found.changes)} values stated differently")
+    return "; ".join([*sentences, *claims])
 
 
 def comparison_markdown(found: Comparison, names: str) -> str:

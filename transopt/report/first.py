@@ -151,8 +151,8 @@ def head(look: Look) -> str:
     every = "it is" if total == 1 else "all are"
     if poor:
         worst = max(poor, key=lambda place: look.errors[place])
-        said = str(look.rows[worst[0]][worst[1]].value("verdict")).split(";")[0]
-        why = said if said.startswith("too ") else f"{percent(look.errors[worst])} % of it is missing"
+        verdict = str(look.rows[worst[0]][worst[1]].value("verdict")).split(";")[0]
+        why = verdict if verdict.startswith("too ") else f"{percent(look.errors[worst])} % of it is missing"
         better = "The limits allow no better: " if look.floored else ""
         return (
             f"{look.name}: {len(poor)} of {look.counted(total)} {'is' if len(poor) == 1 else 'are'} poor: at "
@@ -252,16 +252,16 @@ def worst_line(look: Look, prices: Sequence[Price]) -> str:
     felt = row.value("felt")
     figures = f"{percent(look.errors[worst])} %" + ("" if np.isnan(felt) else f" (felt {percent(felt)} %)")
     place = look.axes.place(*worst)
-    said = f"{'Worst: ' if look.errors.size > 1 else ''}{place}: {figures}"
+    sentence = f"{'Worst: ' if look.errors.size > 1 else ''}{place}: {figures}"
     if look.held(*worst) and (not prices or costliest != worst):
-        said += f", held back by {named_limits(look.held(*worst))}"
+        sentence += f", held back by {named_limits(look.held(*worst))}"
     elif not look.held(*worst):
         ends = look.floored and not look.axes.targets and row.value("floor") > MIN_FLOOR_OF_PUSHING_HAND
-        said += ", held back by no limit" + (": the waveform ends while the hand still pushes" if ends else "")
+        sentence += ", held back by no limit" + (": the waveform ends while the hand still pushes" if ends else "")
     if not prices or costliest is None:
-        return f"{said}."
+        return f"{sentence}."
     at = "" if costliest == worst else f" at {look.axes.place(*costliest)}, {percent(look.errors[costliest])} %"
-    return f"{said}. {_priced(prices[0], at)}."
+    return f"{sentence}. {_priced(prices[0], at)}."
 
 
 def _priced(price: Price, at: str) -> str:

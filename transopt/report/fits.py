@@ -76,10 +76,10 @@ def response_figure(fit: "ResponseFit") -> Figure:
     turned[order] = np.unwrap(np.angle(fit.plant.response(at))[order])
     off = np.angle(fit.measured / fit.plant.response(f))
     least = LEAST_DRAWN * np.abs(fit.measured).max()
-    said = f"fitted, {fit.plant.order} states, misfit {100 * fit.misfit:.2g} %"
+    label = f"fitted, {fit.plant.order} states, misfit {100 * fit.misfit:.2g} %"
     magnitude.loglog(f, np.maximum(np.abs(fit.measured), least), ".", color=SEED, markersize=3, label="measured")
     fitted = np.maximum(np.abs(fit.plant.response(fine)), least)
-    magnitude.loglog(fine, fitted, color=OPTIMUM, linewidth=1.2, label=said)
+    magnitude.loglog(fine, fitted, color=OPTIMUM, linewidth=1.2, label=label)
     phase.plot(f, np.degrees(turned[: f.size] + off), ".", color=SEED, markersize=3)
     phase.plot(fine, np.degrees(turned[f.size :]), color=OPTIMUM, linewidth=1.2)
     magnitude.set_ylabel(f"acceleration [m/s$^2$ per {unit}]", fontsize=LABEL_PT)
@@ -97,9 +97,9 @@ def amplifier_figure(fit: "AmplifierFit") -> Figure:
     f = estimate.frequencies_Hz
     fine = np.geomspace(f[0], f[-1], POINTS)
     figure, magnitude, phase = _magnitude_and_phase()
-    said = f"fit: {fit.pole_Hz:.0f} Hz, {1e6 * fit.delay_s:.1f} us"
+    label = f"fit: {fit.pole_Hz:.0f} Hz, {1e6 * fit.delay_s:.1f} us"
     _draw(magnitude, phase, estimate, OPTIMUM, "command to current")
-    _line(magnitude, phase, fine, fit.response(fine), OPTIMUM, said)
+    _line(magnitude, phase, fine, fit.response(fine), OPTIMUM, label)
     _draw(magnitude, phase, estimate.over(1 / prefilter_response(fit, f)), SEED, "after the prefilter")
     after = fit.response(fine) * prefilter_response(fit, fine)
     _line(magnitude, phase, fine, after, SEED, "fit after the prefilter")

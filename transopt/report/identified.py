@@ -184,8 +184,8 @@ def identified_lines(build: Build) -> list[str]:
         ]
     if model.device is not None and model.device.causes:
         lines += ["", f"Found beside the model: {', '.join(model.device.causes)}."]
-    if said := scene.unfit_model():
-        lines += ["", f"**{said}.** It was accepted by the one who solved."]
+    if unfit := scene.unfit_model():
+        lines += ["", f"**{unfit}.** It was accepted by the one who solved."]
     for warning in filter(None, (model_warning(build), uncovered_line(build))):
         lines += ["", f"**{warning[0].upper()}{warning[1:]}.**"]
     return [*lines, *_spread_words(scene)]

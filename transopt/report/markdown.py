@@ -165,8 +165,8 @@ def _kept_back_lines(entries: Sequence[Entry]) -> list[str]:
             widest[limit.name] = limit
     if not widest:
         return []
-    said = ", ".join(f"{each.label} {each.kept_back:.2g} {each.step_unit}" for each in widest.values())
-    return ["", f"Of these limits the problem keeps so much back, for what happens between its instants: {said}."]
+    margins = ", ".join(f"{each.label} {each.kept_back:.2g} {each.step_unit}" for each in widest.values())
+    return ["", f"Of these limits the problem keeps so much back, for what happens between its instants: {margins}."]
 
 
 def priced_entries(build: Build, *, full: bool) -> list[Entry]:
@@ -267,8 +267,8 @@ def _cool_lines(build: Build) -> list[str]:
     if library is None or library.cool is None:
         return []
     shown = library.cool.table((*FIGURES, "peak", "binding"))
-    said = cool_summary(library)
-    return ["", "## Cool commands", "", *table(shown.heads, shown.cells), f"{said[0].upper()}{said[1:]}."]
+    sentence = cool_summary(library)
+    return ["", "## Cool commands", "", *table(shown.heads, shown.cells), f"{sentence[0].upper()}{sentence[1:]}."]
 
 
 def build_markdown(build: Build, *, full: bool = True) -> str:

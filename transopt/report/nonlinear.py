@@ -75,8 +75,8 @@ def nonlinear_markdown(design: Build) -> str:
     ]
     for entry in design.all_entries():
         lines += [f"## {entry.target}", "", f"- binds: {entry.binding}"]
-        lines += [f"- the linear design leaves on this plant: {said}" for said in entry.linear_leaves]
-        lines += [f"- refused: {said}" for said in refusals(entry)] + [""]
+        lines += [f"- the linear design leaves on this plant: {sentence}" for sentence in entry.linear_leaves]
+        lines += [f"- refused: {sentence}" for sentence in refusals(entry)] + [""]
     return "\n".join(lines)
 
 

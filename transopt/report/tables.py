@@ -88,16 +88,16 @@ def summary(build: Build) -> str:
     """One line: error, certificate, time per entry, total time."""
     entries = list(build.all_entries())
     admitted = [entry for entry in entries if entry.status is Status.OPTIMAL]
-    said = []
+    sentences = []
     if build.refused:
-        said.append(
+        sentences.append(
             f"{len(build.refused)} of {len(entries)} entries refused; no library written, an earlier one is kept"
         )
     if admitted:
         worst = max(admitted, key=lambda entry: entry.figures.tap_error)
         felt = [entry.figures.felt_error for entry in admitted if np.isfinite(entry.figures.felt_error)]
         heard = f"felt error {percent(min(felt))} to {percent(max(felt))} %, " if felt else ""
-        said.append(
+        sentences.append(
             f"{len(admitted)} of {len(entries)} entries certified and replayed: tap error "
             f"{percent(min(entry.figures.tap_error for entry in admitted))} to {percent(worst.figures.tap_error)} % "
             f"(worst at {worst.place}), {heard}"
@@ -105,8 +105,8 @@ def summary(build: Build) -> str:
             f"violation <= {max(entry.certificate.primal_violation for entry in admitted):.0e} A, V or K"
         )
     times_ms = [entry.solution.solve_time_s * 1e3 for entry in entries]
-    said.append(f"{np.median(times_ms):.1f} ms per entry (median), {build.elapsed_s:.2f} s in all")
-    return "; ".join(said)
+    sentences.append(f"{np.median(times_ms):.1f} ms per entry (median), {build.elapsed_s:.2f} s in all")
+    return "; ".join(sentences)
 
 
 def aftermath(build: Build) -> str:
@@ -158,8 +158,8 @@ def lost_start(build: Build) -> str:
 def warnings(build: Build) -> list[str]:
     """Points of a build that deserve a second look, one line each."""
     odd = implausible(build.scene.model_dump(exclude_none=True))
-    accepted = [f"accepted as it is: {said}" for said in odd]
-    return [*accepted, *(said for said in (lost_start(build), aftermath(build)) if said)]
+    accepted = [f"accepted as it is: {sentence}" for sentence in odd]
+    return [*accepted, *(sentence for sentence in (lost_start(build), aftermath(build)) if sentence)]
 
 
 def cool_summary(library: Library) -> str:

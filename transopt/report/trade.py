@@ -72,7 +72,7 @@ def drive_table(library: Library, left: Sequence[PlayedDrive]) -> Table:
 def drive_remarks(library: Library, left: Sequence[PlayedDrive]) -> list[str]:
     """Points of an exported drive that deserve a second look, one line each."""
     driver = left[0].drive.driver
-    said = [
+    sentences = [
         f"{each.drive.name}: {limit} as it leaves; more --bits, a multiple of the design's rate or a lower limit in "
         "the scene would keep it"
         for each in left
@@ -80,14 +80,14 @@ def drive_remarks(library: Library, left: Sequence[PlayedDrive]) -> list[str]:
     ]
     saturated = sum(each.drive.saturated for each in left)
     if saturated:
-        said.append(
+        sentences.append(
             f"{saturated} samples are beyond full scale and leave clipped: leave --full-scale out, or solve the "
             f"scene with a limit of {driver.full_scale:g} {driver.unit}"
         )
     if not is_multiple(library, driver.rate_Hz):
-        said.append(
+        sentences.append(
             f"{driver.rate_Hz:g} Hz is no multiple of the design's {1 / library.dt_s:g} Hz: each sample is "
             "the mean of the command over its period; a scene with time.dt_s = "
             f"{1 / driver.rate_Hz:.17g} leaves as it was designed"
         )
-    return said
+    return sentences

@@ -44,7 +44,7 @@ def trade_off_lines(build: "Build") -> list[str]:
             cells += map(_dB, (point.levels.broadband_dB, point.levels.pacinian_dB, point.levels.below_dB, *thirds))
             rows.append(cells)
     missing = "; ".join(f"{each.place} ({each.missing_dB:.2f} dB short)" for each in found if each.missing_dB)
-    said = f"No lam reaches it at {missing}. That is no proof that no command within the limits has more."
+    beyond_reach = f"No lam reaches it at {missing}. That is no proof that no command within the limits has more."
     return [
         "",
         "## Waveform and intensity",
@@ -55,7 +55,7 @@ def trade_off_lines(build: "Build") -> list[str]:
         "dB: energy within the window over that of r; felt: through the band-pass at 275 Hz, of which "
         f"{JUST_NOTICED_dB:g} dB are just noticed; then third octaves (IEC 61260) that hold a part of the tap. "
         "`trade_off.png` shows what lies between, where figures are drawn.",
-        *([said] if missing else []),
+        *([beyond_reach] if missing else []),
     ]
 
 
@@ -66,10 +66,10 @@ def _bands(found: Sequence[TradeOff]) -> list[float]:
 
 def attained_lines(entries: Sequence[Entry]) -> list[str]:
     """The section on the energy that the scene asks for; empty if it asks for none."""
-    said = [(entry, entry.attained) for entry in entries if entry.attained is not None]
-    if not said:
+    asked = [(entry, entry.attained) for entry in entries if entry.attained is not None]
+    if not asked:
         return []
-    lines = [f"- {e.place}: {attained.sentence}" for e, attained in said]
+    lines = [f"- {e.place}: {attained.sentence}" for e, attained in asked]
     return [
         "",
         "## Intensity",

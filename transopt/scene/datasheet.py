@@ -229,11 +229,11 @@ def _model(sheet: Datasheet) -> list[str]:
         # In a case both masses vibrate against each other at the datasheet's resonance.
         M = sheet.case_mass_kg
         mass, symbol = (m, "m") if M is None else (m * M / (m + M), "mu")
-        said = ", mu = m M / (m + M)" if M is not None else ", m the bare table's" if sheet.kind == "shaker" else ""
+        masses = ", mu = m M / (m + M)" if M is not None else ", m the bare table's" if sheet.kind == "shaker" else ""
         w = 2 * math.pi * sheet.resonance_Hz
         spring = [
             f"# f0 = {_n(sheet.resonance_Hz)} Hz and Q = {_n(sheet.quality)}: k = {symbol} (2 pi f0)^2, c = {symbol} "
-            f"2 pi f0 / Q{said}",
+            f"2 pi f0 / Q{masses}",
             f"stiffness_N_m = {_n(mass * w**2)}",
             f"damping_N_s_m = {_n(mass * w / sheet.quality)}",
         ]

@@ -69,9 +69,9 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: not valid TOML: {error}{_line_of(text, str(error))}") from None
 
 
-def _line_of(text: str, said: str) -> str:
+def _line_of(text: str, message: str) -> str:
     """The line that is not TOML, with a hint if it has a decimal comma."""
-    at = re.search(r"at line (\d+)", said)
+    at = re.search(r"at line (\d+)", message)
     if at is None:
         return ""
     line = text.split("\n")[int(at[1]) - 1].partition("#")[0].strip()

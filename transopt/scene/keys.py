@@ -105,7 +105,7 @@ def _interval(parts: list[Any], unit: str) -> tuple[float, float]:
 
 def _walk(table: type[Section], value: Section | None, prefix: str) -> Iterator[Key]:
     """The keys of a table and of the tables in it; `value` is the table as stated in the scene, None if it is not."""
-    said = meanings(table)
+    descriptions = meanings(table)
     for name, field in table.model_fields.items():
         path, stated = f"{prefix}{name}", getattr(value, name, None)
         parts = [*flat(field.annotation), *field.metadata]
@@ -125,7 +125,7 @@ def _walk(table: type[Section], value: Section | None, prefix: str) -> Iterator[
             yield from _walk(type(stated), stated, f"{path}.")
         elif inner and not (inner == [LinearParameter] and isinstance(stated, int | float)):
             yield from _walk(inner[0], None, f"{path}.")
-        elif (leaf := _leaf(path, field, parts, stated, said.get(name, ""))) is not None:
+        elif (leaf := _leaf(path, field, parts, stated, descriptions.get(name, ""))) is not None:
             yield leaf
 
 

@@ -57,12 +57,12 @@ def with_plant_file(scene: Path, table: dict[str, Any]) -> dict[str, Any]:
         raise InputError(f"{scene}: model.{twice}: stands in model.file = {named!r} too: take one of them out")
     try:
         found = read_plant(scene.parent / named)
-        return {**table, **found, **_said(table, found)}
+        return {**table, **found, **_outputs(table, found)}
     except InputError as error:
         raise InputError(f"{scene}: model.file = {named!r}: {error}") from None
 
 
-def _said(table: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]:
+def _outputs(table: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]:
     """The plant's outputs, with rows and units from file and scene combined.
 
     Raises

@@ -135,9 +135,9 @@ def implausible(content: Mapping[str, Any]) -> list[str]:
     ----------
     content : its tables as read; entries that are not numbers, or whose key has no bounds here, are skipped.
     """
-    found = [said for each in _numbers(content) if (said := _wrong(*each))]
-    if said := _wrong_matrices(content.get("model")):
-        found.append(f"model: {said}")
+    found = [wrong for each in _numbers(content) if (wrong := _wrong(*each))]
+    if wrong := _wrong_matrices(content.get("model")):
+        found.append(f"model: {wrong}")
     return list(dict.fromkeys(found))
 
 

@@ -132,10 +132,10 @@ class Population(Section):
             found += [hand for sign in (1.0, -1.0) if _passive(hand := self.hand(self.mean() + sign * off), grips_N)]
             if len(found) >= count:
                 return found[:count]
-        said = ", ".join(f"{grip:g}" for grip in grips_N)
+        grips = ", ".join(f"{grip:g}" for grip in grips_N)
         raise InputError(
             f"population: its hands are stated at {self.grips_N[0]:g} and {self.grips_N[1]:g} N and hardly any is "
-            f"passive at {said} N: keep the grips nearer to these two, or the spreads smaller"
+            f"passive at {grips} N: keep the grips nearer to these two, or the spreads smaller"
         )
 
 

@@ -127,18 +127,18 @@ def completed(stated: Mapping[str, float], test: Rating) -> Completed:
     InputError : too few numbers; the message says which further ones would suffice.
     """
     start = np.log(START)
-    told = {key: float(stated[key]) for key in predicted(np.exp(start), test) if key in stated}
+    given = {key: float(stated[key]) for key in predicted(np.exp(start), test) if key in stated}
 
     def misses(x: FloatArray, keys: list[str]) -> FloatArray:
         made = predicted(np.exp(x), test)
-        return np.array([math.log(made[key] / told[key]) / TOLERANCE[key] for key in keys])
+        return np.array([math.log(made[key] / given[key]) / TOLERANCE[key] for key in keys])
 
     def fitted(keys: list[str]) -> tuple[FloatArray, FloatArray]:
         def all_misses(x: FloatArray) -> FloatArray:
             return np.append(misses(x, keys), (x - start) / PRIOR_DEVIATION)
 
         own = start + [
-            math.log(told[key]) - at if key in keys else 0.0 for key, at in zip(UNKNOWN, start, strict=True)
+            math.log(given[key]) - at if key in keys else 0.0 for key, at in zip(UNKNOWN, start, strict=True)
         ]
         found = scipy.optimize.least_squares(all_misses, own, xtol=1e-14, ftol=1e-14, gtol=1e-14)
         return np.asarray(found.x), np.asarray(found.jac)
@@ -151,27 +151,27 @@ def completed(stated: Mapping[str, float], test: Rating) -> Completed:
             others, slopes = fitted(rest)
             if _is_determined(slopes[: len(rest)]) and np.abs(misses(others, rest)).max() <= CONTRADICTS:
                 by_others = predicted(np.exp(others), test)[key]
-                suspects.append(f"{WORDS[key]} {told[key]:.3g}, by the others {by_others:.3g}")
+                suspects.append(f"{WORDS[key]} {given[key]:.3g}, by the others {by_others:.3g}")
         return "; ".join(suspects)
 
-    keys, said = list(told), "the numbers contradict each other; one of these is wrong:"
+    keys, problem = list(given), "the numbers contradict each other; one of these is wrong:"
     x, slopes = fitted(keys)
-    note = _too_much_current(told, test)
+    note = _too_much_current(given, test)
     if not _is_determined(slopes[: len(keys)]):
         if not note and len(keys) > len(UNKNOWN) and (wrong := contradiction()):
-            note = f"{said} {wrong}; correct it, or leave it out"
+            note = f"{problem} {wrong}; correct it, or leave it out"
         raise InputError(note or _insufficient(x, keys, test))
     covariance = np.linalg.inv(slopes.T @ slopes)
     values = dict(zip(UNKNOWN, map(float, np.exp(x)), strict=True))
     deviations = dict(zip(UNKNOWN, map(float, np.sqrt(np.diag(covariance))), strict=True))
     if not note and np.abs(misses(x, keys)).max() > CONTRADICTS and len(keys) > len(UNKNOWN):
-        note = f"{said} {contradiction() or 'more than one'}; correct it, or leave it out"
+        note = f"{problem} {contradiction() or 'more than one'}; correct it, or leave it out"
     return Completed(values, deviations, note)
 
 
-def _too_much_current(told: Mapping[str, float], test: Rating) -> str:
+def _too_much_current(given: Mapping[str, float], test: Rating) -> str:
     """Message if the rated current exceeds the rated voltage over R, its largest value; empty otherwise."""
-    rms_V, R, rms_A = test.rms_V, told.get("R_ohm"), told.get("rms_A")
+    rms_V, R, rms_A = test.rms_V, given.get("R_ohm"), given.get("rms_A")
     if rms_V is None or R is None or rms_A is None or rms_A <= rms_V / R:
         return ""
     return (

@@ -364,8 +364,8 @@ class Scene(Section):
         if not isinstance(self.model, IdentifiedModel):
             return ""
         parts = self.model.unfit(coil=self.motor is not None)
-        said = "; ".join(f"{name}: {'; '.join(reasons)}" for name, reasons in parts.items())
-        return f"{self.model.file} is not fit to design with: {said}" if said else ""
+        shortfalls = "; ".join(f"{name}: {'; '.join(reasons)}" for name, reasons in parts.items())
+        return f"{self.model.file} is not fit to design with: {shortfalls}" if shortfalls else ""
 
     def spread_grips_N(self, grip_N: float) -> list[float]:
         """Further grips around a node that its command shall serve, without the node's own."""

@@ -168,9 +168,9 @@ def direction_sentence(found: Sequence[Traded]) -> str:
         own = [t for t in found if (t.normal, t.posture) == place]
         curve = {t.tangential: t for t in own if t.method == OPTIMUM}
         clipped = next(t for t in own if t.method == CUT)
-        told = (clipped, curve[USUAL], curve[WEIGHTS[0]])
+        compared = (clipped, curve[USUAL], curve[WEIGHTS[0]])
         alike = [_at(list(curve.values()), clipped.tangential_error, name) for name in ("tap_error", "felt_error")]
-        rows.append([[t.tap_error, t.felt_error, t.tangential_error] for t in told] + [[*alike, np.nan]])
+        rows.append([[t.tap_error, t.felt_error, t.tangential_error] for t in compared] + [[*alike, np.nan]])
     cut, best, free, alike = 100 * np.mean(rows, axis=0)
     turned = np.nanmean([t.force_limited_deg for t in found if t.method == CUT])
     return (

@@ -102,13 +102,13 @@ class Point:
 
     Attributes
     ----------
-    said : the values in words.
+    settings : the values in words.
     labels : key -> label of its value.
     worst : largest tap error of its entries; NaN if an entry has no certified optimum.
     place : name of that entry; if `worst` is NaN, the entry without optimum and the reason.
     """
 
-    said: str
+    settings: str
     labels: Mapping[str, str]
     worst: float
     place: str
@@ -122,13 +122,13 @@ def points_of(plan: Plan, rows: Sequence[Row]) -> list[Point]:
     found = []
     for number_of, own in sorted(of.items()):
         labels = plan.labels(number_of)
-        said = ", ".join(f"{key} = {value} {unit_of(key)}".strip() for key, value in labels.items())
+        settings = ", ".join(f"{key} = {value} {unit_of(key)}".strip() for key, value in labels.items())
         failed = next((row for row in own if row["status"] != OPTIMAL), None)
         worst = max(own, key=lambda row: number(row, "tap_error")) if failed is None else failed
         place = (
             entry_name(worst) if failed is None else f"{entry_name(failed)}: {failed['reason'] or failed['status']}"
         )
-        found.append(Point(said, labels, number(worst, "tap_error") if failed is None else np.nan, place))
+        found.append(Point(settings, labels, number(worst, "tap_error") if failed is None else np.nan, place))
     return found
 
 
@@ -153,14 +153,14 @@ def study_answer(plan: Plan, rows: Sequence[Row]) -> list[str]:
                 flat = all(point.worst <= best.worst + AT_FLOOR for point in after)
                 beyond = ", beyond which nothing is gained" if flat else ", beyond which it rises again"
             lines.append(
-                f"{whose} has an error of {percent(worst.worst)} % with {worst.said}; at best no entry has more than "
-                f"{percent(best.worst)} %, with {best.said}{beyond}."
+                f"{whose} has an error of {percent(worst.worst)} % with {worst.settings}; at best no entry has more "
+                f"than {percent(best.worst)} %, with {best.settings}{beyond}."
             )
     without = [point for point in points if np.isnan(point.worst)]
     if without:
         lines.append(
             f"{len(without)} of {len(points)} points have an entry without a certified optimum: with "
-            f"{without[0].said}, {without[0].place}."
+            f"{without[0].settings}, {without[0].place}."
         )
     return lines
 
@@ -251,10 +251,17 @@ def answer_markdown(scene: Scene, found: Answer, head: Sequence[str]) -> str:
     cells = []
     for tried in found.tried:
         row = found.worst(tried)
-        said = "met" if tried.met else "missed"
+        outcome = "met" if tried.met else "missed"
         figures = [f"{number(row, requirement.measure):.6g}" for requirement in question.requirements]
         cells.append(
-            [label(tried.value), said, entry_name(row), *figures, row["status"], f"{number(row, 'relative_gap'):.0e}"]
+            [
+                label(tried.value),
+                outcome,
+                entry_name(row),
+                *figures,
+                row["status"],
+                f"{number(row, 'relative_gap'):.0e}",
+            ]
         )
     measures = [requirement.measure for requirement in question.requirements]
     lines += ["![answer](answer.png)", "", "## Every value tried, with the entry that decides", ""]

@@ -73,8 +73,8 @@ def _stop_said(store: Store, total: int | None) -> Iterator[None]:
         yield
     except (KeyboardInterrupt, SystemExit):
         of = "" if total is None else f" of {total}"
-        said = f"stopped: {store.done}{of} entries are in {store.path}; the same command goes on from there"
-        print(said, file=sys.stderr)
+        where = f"stopped: {store.done}{of} entries are in {store.path}; the same command goes on from there"
+        print(where, file=sys.stderr)
         raise
 
 

@@ -126,7 +126,7 @@ def test_hands_are_found_and_the_intervals_hold(
         off = found.logarithms - truth_of(hand, population)
         assert np.abs(off[[3, 4, 8, 9]]).max() < 0.08  # the arm, which the position tells
         assert max(found.scatter) < 1.5
-        assert all(told for _, _, told in found.told.values())
+        assert all(by_taps for _, _, by_taps in found.determined.values())
         squares.append(float(off @ np.linalg.solve(found.covariance, off)))
     # 30 squares of normal numbers: between 15 and 51 in 98 of 100.
     assert 10 < sum(squares) < 57
@@ -142,7 +142,7 @@ def test_where_nothing_was_played_the_population_speaks(
     found = calibrate([at_rest], drive, INSTRUMENT, population, [])
     assert found.logarithms == pytest.approx(population.mean(), abs=1e-6)
     assert found.covariance == pytest.approx(population.covariance(), abs=1e-9)
-    assert not any(told for _, _, told in found.told.values())
+    assert not any(by_taps for _, _, by_taps in found.determined.values())
     assert "left to the population: mass_kg, skin_stiffness_N_m" in found.in_words
     assert "at other grips the population speaks" in found.in_words
 

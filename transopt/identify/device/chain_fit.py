@@ -150,15 +150,15 @@ class ChainFit:
 
     def meaningless(self) -> list[str]:
         """Reasons why the parameters may predict well and still not be the device's masses, springs and dampers."""
-        said = []
+        sentences = []
         if self.scatter > MISFIT:
-            said.append(
+            sentences.append(
                 f"residuals of {self.scatter:.2g} times the noise: the parameters make up for what the chain lacks "
                 "(further masses, samples not read together, accelerometer_Hz), so that their intervals do not hold"
             )
         if self.at_bounds:
-            said.append(f"at a bound, so without meaning by themselves: {', '.join(self.at_bounds)}")
-        return said
+            sentences.append(f"at a bound, so without meaning by themselves: {', '.join(self.at_bounds)}")
+        return sentences
 
 
 def factor_of(sigma: float) -> float:
@@ -191,8 +191,15 @@ def _free(measured: Sequence[GripResponse], coordinates: Coordinates, instrument
     """(p,) whether these records can determine an unknown: the amplifier if the current was read beside the command,
     the accelerometer's gain if an encoder measured the motion."""
     amplifier = instrument.amplifier is not None and all(CURRENT in one.outputs for one in measured)
-    told = [amplifier, amplifier, amplifier, True, True, any(max(one.outputs) > ACCELERATION for one in measured)]
-    return np.array([True] * coordinates.size + told)
+    measured_too = [
+        amplifier,
+        amplifier,
+        amplifier,
+        True,
+        True,
+        any(max(one.outputs) > ACCELERATION for one in measured),
+    ]
+    return np.array([True] * coordinates.size + measured_too)
 
 
 def _with_amplifier(measured: Sequence[GripResponse], instrument: Instrument) -> Instrument:

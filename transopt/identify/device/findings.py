@@ -64,7 +64,11 @@ def two_clocks(recorded_s: float, servo_s: float | None) -> list[str]:
 def distorted(repeated: Sequence[Measurement]) -> list[Finding]:
     """Findings of distortion at the detection lines of periodic records; none for a record without distortion."""
     found = [(run, distortion(run)) for run in repeated]
-    return [beside(run.name, said.words()) for run, said in found if said is not None and said.largest >= DISTORTED]
+    return [
+        beside(run.name, measured.words())
+        for run, measured in found
+        if measured is not None and measured.largest >= DISTORTED
+    ]
 
 
 def causes_of(
@@ -110,8 +114,8 @@ def causes_of(
         say("varying hand", "trials", text)
     by_lines = [] if chain is None else named_by_lines(chain, repeated)
     for cause, share in by_lines:
-        told = "neither friction nor stiffening explains" if cause == "backlash" else "explains"
-        text = f"{told} {100 * share:.0f} % of what sounds at lines that were not excited: {REMEDIES[cause]}"
+        verb = "neither friction nor stiffening explains" if cause == "backlash" else "explains"
+        text = f"{verb} {100 * share:.0f} % of what sounds at lines that were not excited: {REMEDIES[cause]}"
         say(cause, "multisines", text)
     loud = [one for one, tap in zip(used, error.at_use, strict=True) if tap.excess]
     if loud:
@@ -158,12 +162,12 @@ def noise_findings(grips: Sequence[Grip]) -> list[Finding]:
     """One finding for each significant kind of noise, with its remedy."""
     spectra = [_noise(grip) for grip in grips]
     # Each text is empty if its kind of noise is not significant.
-    said = {
+    texts = {
         "mains hum": _hum(spectra),
         "hand tremor": _tremor(grips, spectra),
         "converter steps": _steps(grips, spectra),
     }
-    return [beside(where, text) for where, text in said.items() if text]
+    return [beside(where, text) for where, text in texts.items() if text]
 
 
 def _noise(grip: Grip) -> tuple[FloatArray, FloatArray]:
@@ -248,47 +252,51 @@ def _band(low_Hz: float, high_Hz: float) -> str:
 
 def advice(grips: Sequence[Grip], model: Model, instrument: Instrument, played_N: Sequence[float]) -> list[str]:
     """Sentences that tell what to record again, and where."""
-    said = []
+    sentences = []
     for grip in grips:
         for band in incoherent_bands(grip.response):
-            said.append(
+            sentences.append(
                 f"coherence low at {_band(*band)} at {called(grip.grip_N)}: sweep there, with more current (record "
                 "sweep --low, --high, --amplitude)"
             )
         for band in lack_of_fit(grip.response, model, instrument):
-            said.append(
+            sentences.append(
                 f"lack of fit at {_band(*band)} at {called(grip.grip_N)}: more than noise; record this grip again, "
                 "held steadily, or try --kind state_space with a higher --order"
             )
     held = [grip.grip_N for grip in grips if grip.grip_N > 0]
     if held and len(held) == len(grips):
-        said.append(
+        sentences.append(
             "no free device: record it too (record sweep --grips 0): it tells the drive's masses from the hand's"
         )
     if len(held) == 1:
-        said.append(f"one held grip, {held[0]:.3g} N: the hand is taken to be the same at all; record at least three")
+        sentences.append(
+            f"one held grip, {held[0]:.3g} N: the hand is taken to be the same at all; record at least three"
+        )
     for wanted in played_N:
         if wanted > 0 and held and not held[0] * 0.9 <= wanted <= held[-1] * 1.1:
-            said.append(f"the scene plays {wanted:g} N, recorded are {held[0]:.3g} to {held[-1]:.3g} N: record there")
+            sentences.append(
+                f"the scene plays {wanted:g} N, recorded are {held[0]:.3g} to {held[-1]:.3g} N: record there"
+            )
         if wanted == 0 and len(held) == len(grips):
-            said.append("the scene plays the free device, which was not recorded: record at grip 0")
-    return said
+            sentences.append("the scene plays the free device, which was not recorded: record at grip 0")
+    return sentences
 
 
 def about_chain(fit: ChainFit, own_hands: Sequence[GripFit]) -> list[str]:
     """Sentences on weaknesses of the chain's fit: undetermined parameters, a hand not linear in grip, lone starts."""
-    said = [f"{name} ended at its bound: these records do not determine it" for name in fit.at_bounds]
+    sentences = [f"{name} ended at its bound: these records do not determine it" for name in fit.at_bounds]
     for name, sigma in fit.unidentified.items():
         if name not in fit.at_bounds:
             factor = factor_of(sigma)
             known = f"is known to a factor of {factor:.2g} only" if factor < RANGE else "is open"
-            said.append(f"{name} {known}: these records do not determine it")
-    said += [
+            sentences.append(f"{name} {known}: these records do not determine it")
+    sentences += [
         f"the hand at {own.grip_N:.3g} N is not on the lines of all grips (up to {own.difference_dB:.2g} dB off): "
         "record this grip again, or more grips beside it"
         for own in own_hands
         if own.difference_dB > NOT_LINEAR_DB and own.scatter > MISFIT
     ]
     if fit.agreeing == 1 and fit.starts > 1 and fit.scatter > MISFIT:
-        said.append(f"only one of {fit.starts} starts led to this device: give a --scene nearer to yours")
-    return said
+        sentences.append(f"only one of {fit.starts} starts led to this device: give a --scene nearer to yours")
+    return sentences

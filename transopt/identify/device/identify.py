@@ -129,7 +129,7 @@ def identify(
         beside_it = causes_of(chosen, chain, grips, used, error, repeated) + noise_findings(grips)
         if chain is not None and box is not None and chosen.kind is Kind.STATE_SPACE:
             beside_it.append(beyond_a_chain(box))
-        causes = [said.cause for said in beside_it if said.cause]
+        causes = [finding.cause for finding in beside_it if finding.cause]
         found += beside_it + distorted(repeated)
     result = DeviceResult(
         grips=grips,
@@ -174,7 +174,8 @@ def _ready(
         )
     transients = [*transients, *(run for run in runs if run.held_out and run.period_s is None)]
     begun = {id(run): begun_late(run) for run in transients}
-    kept, late = [run for run in transients if not begun[id(run)]], [said for each in begun.values() for said in each]
+    kept = [run for run in transients if not begun[id(run)]]
+    late = [finding for each in begun.values() for finding in each]
     moved, judged, delayed = _on_one_clock(sweeps, kept, settings)
     records = sort_trials(moved, judged, settings.amplifier, settings.scene_plant, tick=lambda: tick("responses"))
     return records, judged, [*late, *delayed]

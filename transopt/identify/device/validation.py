@@ -251,11 +251,11 @@ def verdict(predicted: Predicted | None, held_out: Mapping[float, float], uncove
         return (
             f"supports no design: predicted to miss {100 * worst:.0f} % of the tap at {speed:g} m/s, {called(grip)}"
         )
-    said = (
+    sentence = (
         f"model error {100 * middle:.2g} % of a tap (worst {100 * worst:.2g} %, at {speed:g} m/s, "
         f"{called(grip)}): design errors below that are the model's{noise}"
     )
-    return "; ".join(filter(None, [said, uncovered]))
+    return "; ".join(filter(None, [sentence, uncovered]))
 
 
 def not_covered(error: ModelError, taps: Taps) -> str:
@@ -279,12 +279,12 @@ def short_of(predicted: Predicted | None) -> list[str]:
     """Shortfalls of a model by its predicted taps, each with what to record again."""
     if predicted is None:
         return []
-    said = []
+    sentences = []
     for grip, row in zip(predicted.grips_N, predicted.nrmse, strict=True):
         if not max(row) <= FIT:
             speed = predicted.speeds_m_s[int(np.argmax(row))]
-            said.append(
+            sentences.append(
                 f"{called(grip)}: predicted to miss {100 * max(row):.2g} % of the tap at {speed:g} m/s, limit "
                 f"{100 * FIT:g} %; see what was found, and record this grip again"
             )
-    return said
+    return sentences
