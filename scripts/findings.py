@@ -26,7 +26,7 @@ def main(
     scene, found = problems.load("wood_on_foam"), []
     pool = processes(2)
     try:
-        for name in named.STUDIES:
+        for name in named.OF_ONE_MOTOR:
             code, finding = named.write(name, scene, out, pool, search=[problems.FOLDER], figures=figures)
             print(f"{name}: {finding}", flush=True)
             found.append((name, code, finding))

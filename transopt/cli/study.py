@@ -131,13 +131,12 @@ def check_together(request: Request) -> None:
     ------
     InputError : one line.
     """
-    from transopt.study.named import OF_AN_ARM, OFF_NODE, STUDIES
+    from transopt.study.named import IN_PROCESS, STUDIES
 
     name = request.name
-    known = (*STUDIES, *OF_AN_ARM)
-    if name is not None and name not in (*known, "all"):
-        near = did_you_mean(name, known)
-        raise InputError(f"--study {name}: no such study{near}; choose one of {', '.join(known)}, or all")
+    if name is not None and name not in (*STUDIES, "all"):
+        near = did_you_mean(name, STUDIES)
+        raise InputError(f"--study {name}: no such study{near}; choose one of {', '.join(STUDIES)}, or all")
     inverse = bool(request.require) or request.solve_for is not None or request.greatest
     if inverse and (not request.require or request.solve_for is None):
         raise InputError("--require and --solve-for belong together: what is to be met, and by which key")
@@ -150,7 +149,7 @@ def check_together(request: Request) -> None:
     sampled = request.sample is not None or request.seed is not None
     if name and (request.vary or request.settings or request.speed or request.grip or sampled or request.full):
         raise InputError("--study: a named study says itself what is varied; leave the other options out")
-    if name in OFF_NODE and (request.executor is not None or request.jobs is not None):
+    if name in IN_PROCESS and (request.executor is not None or request.jobs is not None):
         raise InputError(f"--study {name}: solves in this process: leave --executor and --jobs out")
     if request.figures is not None and not name:
         raise InputError("--figures: only with --study, which has figures to copy; others are written to --out")
@@ -169,7 +168,7 @@ def run(request: Request, scene: str) -> int:
     from transopt.scene import builtin
     from transopt.study.axes import apply_settings, parse_axis, parse_numbers
     from transopt.study.executors import executor_pool
-    from transopt.study.named import OF_AN_ARM, STUDIES, write
+    from transopt.study.named import OF_AN_ARM, OF_ONE_MOTOR, write
     from transopt.study.plan import Plan
 
     files = [builtin.FOLDER]
@@ -184,7 +183,7 @@ def run(request: Request, scene: str) -> int:
             )
         if request.name:
             worst = 0
-            for name in STUDIES if request.name == "all" else [request.name]:
+            for name in OF_ONE_MOTOR if request.name == "all" else [request.name]:
                 code, finding = write(name, loaded, request.out, pool, search=files, figures=request.figures)
                 terminal.console().print(f"{name}: {finding}")
                 worst = max(worst, code)

@@ -18,17 +18,17 @@ from transopt.study.direction import direction, direction_figure, direction_sent
 from transopt.study.executors import Pool
 from transopt.study.grid_spacing import spacing_figure, spacing_sentence, spacing_study
 from transopt.study.grip_mismatch import mismatch, mismatch_figure, mismatch_sentence
-from transopt.study.motors import motor_selection
+from transopt.study.key_studies import KEY_STUDIES, KeyStudy
+from transopt.study.motor_selection import motor_selection
 from transopt.study.optima import Proven, proven_sentence
 from transopt.study.report import provenance, refusal_lines, study_markdown, summary
 from transopt.study.rows import OPTIMAL, exit_code
 from transopt.study.session import run_plan
-from transopt.study.swept import SWEPT, Swept
 
 
 @dataclass(frozen=True)
-class OffNode:
-    """A named study of commands played at another place than they were made for; solved in this process.
+class InProcess:
+    """A named study that is solved in this process: of commands played where they were not made for, or of an arm.
 
     Attributes
     ----------
@@ -41,12 +41,14 @@ class OffNode:
     finding: Callable[[Sequence[Any]], str]
 
 
-OFF_NODE = {
-    "grip_mismatch": OffNode(mismatch, mismatch_figure, mismatch_sentence),
-    "grid_spacing": OffNode(spacing_study, spacing_figure, spacing_sentence),
+IN_PROCESS = {
+    "grip_mismatch": InProcess(mismatch, mismatch_figure, mismatch_sentence),
+    "grid_spacing": InProcess(spacing_study, spacing_figure, spacing_sentence),
+    "direction": InProcess(direction, direction_figure, direction_sentence),
 }
-OF_AN_ARM = {"direction": OffNode(direction, direction_figure, direction_sentence)}
-STUDIES = (*SWEPT, *OFF_NODE, "motor_selection")  # studies of scenes with one motor
+OF_AN_ARM = ("direction",)
+OF_ONE_MOTOR = (*KEY_STUDIES, *(name for name in IN_PROCESS if name not in OF_AN_ARM), "motor_selection")
+STUDIES = (*OF_ONE_MOTOR, *OF_AN_ARM)
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,7 @@ class Written:
     code: int
 
 
-def _swept(study: Swept, name: str, scene: Scene, folder: Path, pool: Pool) -> Written:
+def _key_study(study: KeyStudy, name: str, scene: Scene, folder: Path, pool: Pool) -> Written:
     plan = study.plan(scene)
     rows = run_plan(plan, folder, pool, name=name)
     certified = any(row["status"] == OPTIMAL for row in rows)
@@ -79,8 +81,8 @@ def _swept(study: Swept, name: str, scene: Scene, folder: Path, pool: Pool) -> W
     )
 
 
-def _off_node(name: str, scene: Scene, folder: Path) -> Written:
-    study = {**OFF_NODE, **OF_AN_ARM}[name]
+def _in_process(name: str, scene: Scene, folder: Path) -> Written:
+    study = IN_PROCESS[name]
     found, optima = study.measure(scene)
     write_csv(optima, folder / "rows.csv")
     write_csv(found, folder / f"{name}.csv")
@@ -102,7 +104,7 @@ def _off_node(name: str, scene: Scene, folder: Path) -> Written:
     )
 
 
-def _motors(name: str, scene: Scene, folder: Path, pool: Pool, search: Sequence[Path]) -> Written:
+def _motor_selection(name: str, scene: Scene, folder: Path, pool: Pool, search: Sequence[Path]) -> Written:
     found = motor_selection(scene, folder, pool, search)
     for stem, page in found.pages().items():
         save_figure(page, folder / f"{stem}.png", scene.name)
@@ -137,12 +139,12 @@ def write(
     started = time.perf_counter()
     folder = out / name
     make_folder(folder)
-    if name in SWEPT:
-        written = _swept(SWEPT[name], name, scene, folder, pool)
-    elif name in OFF_NODE or name in OF_AN_ARM:
-        written = _off_node(name, scene, folder)
+    if name in KEY_STUDIES:
+        written = _key_study(KEY_STUDIES[name], name, scene, folder, pool)
+    elif name in IN_PROCESS:
+        written = _in_process(name, scene, folder)
     else:
-        written = _motors(name, scene, folder, pool, search)
+        written = _motor_selection(name, scene, folder, pool, search)
     save_figure(written.figure, folder / f"{name}.png", scene.name)
     command = f"transopt study {scene.name} --study {name} --out DIR"
     write_text(written.report(provenance(command, time.perf_counter() - started)), folder / "report.md")

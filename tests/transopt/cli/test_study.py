@@ -121,8 +121,8 @@ class TestCommandLine:
         monkeypatch.setattr(named, "write", write)
         ended = run("--study", "all", "--executor", "serial", "--out", "out", "--figures", "figures")
         assert ended.code == 1
-        assert asked == [(name, "wood_on_foam", Path("out"), Path("figures")) for name in named.STUDIES]
-        assert ended.out.splitlines() == [f"{name}: the finding of {name}" for name in named.STUDIES]
+        assert asked == [(name, "wood_on_foam", Path("out"), Path("figures")) for name in named.OF_ONE_MOTOR]
+        assert ended.out.splitlines() == [f"{name}: the finding of {name}" for name in named.OF_ONE_MOTOR]
 
     def test_list_keys(self, run: Run) -> None:
         ran = run("--list-keys")
@@ -162,6 +162,7 @@ class TestCommandLine:
             (["--study", "lead", "--full"], "a named study says itself what is varied"),
             (["--study", "lead", "--seed", "3"], "a named study says itself what is varied"),
             (["--study", "nope"], "--study nope: no such study; choose one of current_limit"),
+            (["--study", "direction", "--jobs", "2"], "--study direction: solves in this process"),
             (["--study", "grip_mismatch", "--jobs", "2"], "--study grip_mismatch: solves in this process"),
             (["--study", "grid_spacing", "--executor", "serial"], "--study grid_spacing: solves in this process"),
             (

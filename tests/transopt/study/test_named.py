@@ -14,15 +14,15 @@ from transopt.base.errors import InputError
 from transopt.base.writing import percent
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
-from transopt.study import motors
+from transopt.study import motor_selection
 from transopt.study.axes import parse_axis
 from transopt.study.figures import entry_grid
 from transopt.study.grid_spacing import spacing
 from transopt.study.grip_mismatch import mismatch, mismatch_sentence
-from transopt.study.named import OFF_NODE, write
+from transopt.study.key_studies import KEY_STUDIES
+from transopt.study.named import IN_PROCESS, write
 from transopt.study.optima import proven_sentence
 from transopt.study.session import run_plan
-from transopt.study.swept import SWEPT
 
 
 class TestNamed:
@@ -32,8 +32,8 @@ class TestNamed:
         tmp_path: Path,
         monkeypatch: pytest.MonkeyPatch,
     ) -> None:
-        fewer = replace(SWEPT["current_limit"], axis="limits.current_A=1.25,4,6", speeds_m_s=(0.1, 0.4))
-        monkeypatch.setitem(SWEPT, "current_limit", fewer)
+        fewer = replace(KEY_STUDIES["current_limit"], axis="limits.current_A=1.25,4,6", speeds_m_s=(0.1, 0.4))
+        monkeypatch.setitem(KEY_STUDIES, "current_limit", fewer)
         code, finding = write("current_limit", short, tmp_path / "out", serial(), figures=tmp_path / "figures")
         assert code == 0
         assert "At 1.25 A the limit cuts" in finding
@@ -45,7 +45,7 @@ class TestNamed:
         [("amplifier_bandwidth", "amplifier.pole_Hz=100,1050,5000"), ("lead", "time.lead_s=0,0.0003")],
     )
     def test_findings_follow_from_rows(self, short: Scene, tmp_path: Path, name: str, axis: str) -> None:
-        fewer = replace(SWEPT[name], axis=axis, speeds_m_s=(0.1, 0.4), grips_N=(5.0,))
+        fewer = replace(KEY_STUDIES[name], axis=axis, speeds_m_s=(0.1, 0.4), grips_N=(5.0,))
         plan = fewer.plan(short)
         rows = run_plan(plan, tmp_path, serial())
         said = fewer.finding(plan, rows)
@@ -53,7 +53,7 @@ class TestNamed:
         assert percent(float(worst[0].max())) in said or f"{100 * worst[0, 0].max():.2f}" in said
 
     def test_what_intensity_needs_stands_beside_what_the_waveform_needs(self, short: Scene, tmp_path: Path) -> None:
-        fewer = replace(SWEPT["intensity"], axis="limits.current_A=2,3,4", speeds_m_s=(0.4,), grips_N=(5.0,))
+        fewer = replace(KEY_STUDIES["intensity"], axis="limits.current_A=2,3,4", speeds_m_s=(0.4,), grips_N=(5.0,))
         plan = fewer.plan(short)
         rows = run_plan(plan, tmp_path, serial())
         energy, wave, needed = (entry_grid(plan, rows, name) for name in ("energy_dB", "waveform_dB", "free_peak"))
@@ -65,7 +65,9 @@ class TestNamed:
         assert len(fewer.figure(plan, rows).axes) == 2
 
     def test_a_tap_rate_that_leaves_no_time_for_a_waveform_is_left_out(self, short: Scene, tmp_path: Path) -> None:
-        fewer = replace(SWEPT["tap_rate"], axis="thermal.tap_rate_Hz=2,10,500", speeds_m_s=(0.4,), grips_N=(5.0,))
+        fewer = replace(
+            KEY_STUDIES["tap_rate"], axis="thermal.tap_rate_Hz=2,10,500", speeds_m_s=(0.4,), grips_N=(5.0,)
+        )
         plan = fewer.plan(short)
         rows = run_plan(plan, tmp_path, serial())
         assert [row["status"] for row in rows] == ["OPTIMAL", "OPTIMAL", "REFUSED"]
@@ -111,7 +113,7 @@ class TestNamed:
             found, optima = mismatch(scene, (0.2,), (1.0, 3.0, 5.0))
             return found, [replace(optima[0], status="NOT_CERTIFIED"), *optima[1:]]
 
-        monkeypatch.setitem(OFF_NODE, "grip_mismatch", replace(OFF_NODE["grip_mismatch"], measure=measure))
+        monkeypatch.setitem(IN_PROCESS, "grip_mismatch", replace(IN_PROCESS["grip_mismatch"], measure=measure))
         code, _ = write("grip_mismatch", short, tmp_path, serial())
         assert code == 1
         rows = read(tmp_path / "grip_mismatch" / "rows.csv")
@@ -122,8 +124,10 @@ class TestNamed:
 
     def test_motors_differ_in_bandwidth_and_ripple(self, scene: Scene) -> None:
         """One amplifier before all of them, that of the scene before its own motor."""
-        axis = parse_axis(scene, "--study", f"motor={motors.MOTORS}", [problems.FOLDER])
-        posed = {stem: motors.motor_scene(scene, m) for stem, m in zip(axis.labels, axis.values, strict=True)}
+        axis = parse_axis(scene, "--study", f"motor={motor_selection.MOTORS}", [problems.FOLDER])
+        posed = {
+            stem: motor_selection.motor_scene(scene, m) for stem, m in zip(axis.labels, axis.values, strict=True)
+        }
         own = posed["maxon_re25_118743"].amplifier_model()
         assert own.pole_Hz == pytest.approx(1050.0)
         assert own.delay_s == 68e-6
@@ -138,26 +142,26 @@ class TestNamed:
     def test_a_scene_with_a_bridge_of_its_own_keeps_it(self, scene: Scene) -> None:
         stated = {"amplifier.pole_Hz": None, "amplifier.switching_Hz": 60e3, "amplifier.gain_V_A": 1.25}
         own = with_values(scene, {**stated, "limits.supply_V": 20.0})
-        found = motors.shared_amplifier(own)
+        found = motor_selection.shared_amplifier(own)
         assert found["switching_Hz"] == 60e3
         assert found["gain_V_A"] == pytest.approx(1.25)
 
     def test_a_motor_beyond_the_bridge_is_told_and_the_others_are_solved(
         self, short: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(motors, "SWITCHING_HZ", 50e3)
+        monkeypatch.setattr(motor_selection, "SWITCHING_HZ", 50e3)
         chosen = {"motors": "maxon_re25,faulhaber_0816k003", "ratios": "transmission.ratio_1_m=150"}
-        found = motors.motor_selection(short, tmp_path, serial(), [problems.FOLDER], **chosen)
+        found = motor_selection.motor_selection(short, tmp_path, serial(), [problems.FOLDER], **chosen)
         assert list(found.studies) == ["maxon_re25_118743"]
         assert "switching_Hz = 50000 Hz: half its period" in found.refused["faulhaber_0816k003sr"]
         assert "not posed: faulhaber 0816k003sr" in "\n".join(found.report("motors.png", []))
         assert " of 2 motors" in found.sentence()
         chosen["motors"] = "faulhaber_0816k003"
         with pytest.raises(InputError, match="half its period"):
-            motors.motor_selection(short, tmp_path, serial(), [problems.FOLDER], **chosen)
+            motor_selection.motor_selection(short, tmp_path, serial(), [problems.FOLDER], **chosen)
 
     def test_motors(self, short: Scene, tmp_path: Path) -> None:
-        found = motors.motor_selection(
+        found = motor_selection.motor_selection(
             short,
             tmp_path,
             serial(),
@@ -173,7 +177,7 @@ class TestNamed:
         plan, rows = found.studies["faulhaber_0816k003sr"]
         assert plan.scene.limits.transient_input == 0.55
         assert max(float(row["peak_input"]) for row in rows) <= 0.55 + 1e-6
-        assert max(float(row["peak_voltage_V"]) for row in rows) <= motors.RAIL_V * 1.001
+        assert max(float(row["peak_voltage_V"]) for row in rows) <= motor_selection.RAIL_V * 1.001
         text = "\n".join(found.report("motors.png", []))
         for words in ("## Maxon RE 25, 118743", "## Faulhaber 0816K003SR", "motors.png", "Ranked by"):
             assert words in text

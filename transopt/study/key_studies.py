@@ -21,7 +21,7 @@ from transopt.study.rows import Row
 
 
 @dataclass(frozen=True)
-class Swept:
+class KeyStudy:
     """A named study of one key.
 
     Attributes
@@ -174,9 +174,9 @@ def rate_figure(plan: Plan, rows: Sequence[Row]) -> Figure:
 
 
 ALL_SPEEDS_M_S, ALL_GRIPS_N = (0.1, 0.2, 0.3, 0.4), (1.0, 3.0, 5.0)
-SWEPT = {
-    "current_limit": Swept("limits.current_A=1.25:6:20", ALL_SPEEDS_M_S, ALL_GRIPS_N, curves, current_finding),
-    "intensity": Swept(
+KEY_STUDIES = {
+    "current_limit": KeyStudy("limits.current_A=1.25:6:20", ALL_SPEEDS_M_S, ALL_GRIPS_N, curves, current_finding),
+    "intensity": KeyStudy(
         "limits.current_A=0.5:5.5:21",
         ALL_SPEEDS_M_S,
         ALL_GRIPS_N,
@@ -184,7 +184,7 @@ SWEPT = {
         intensity_finding,
         (("weights.objective", "intensity"),),
     ),
-    "tap_rate": Swept(
+    "tap_rate": KeyStudy(
         "thermal.tap_rate_Hz=2:12:11",
         (0.3, 0.4),
         ALL_GRIPS_N,
@@ -192,8 +192,8 @@ SWEPT = {
         rate_finding,
         (("limits.current_A", 6.0),),
     ),
-    "amplifier_bandwidth": Swept(
+    "amplifier_bandwidth": KeyStudy(
         "amplifier.pole_Hz=100:10000:13:log", ALL_SPEEDS_M_S, ALL_GRIPS_N, curves, bandwidth_finding
     ),
-    "lead": Swept("time.lead_s=0:0.001:11", ALL_SPEEDS_M_S, ALL_GRIPS_N, curves, lead_finding),
+    "lead": KeyStudy("time.lead_s=0:0.001:11", ALL_SPEEDS_M_S, ALL_GRIPS_N, curves, lead_finding),
 }
