@@ -69,20 +69,17 @@ class ModelError(Section):
 
     def recorded_at(self, grip_N: float) -> float:
         """Largest recorded current [A], interpolated between grips; infinite if it is not stated."""
-        if not self.recorded_A:
-            return np.inf
+        return float(self._at(grip_N, np.array(self.recorded_A))[0]) if self.recorded_A else np.inf
+
+    def _at(self, grip_N: float, values: FloatArray) -> FloatArray:
+        """Values (ng, ...) at a grip, linear between recorded ones; free device and held grips are not blended."""
         kept = [j for j, grip in enumerate(self.grips_N) if (grip > 0) == (grip_N > 0)] or range(len(self.grips_N))
-        return float(np.interp(grip_N, [self.grips_N[j] for j in kept], [self.recorded_A[j] for j in kept]))
+        grips, rows = [self.grips_N[j] for j in kept], values[list(kept)]
+        return np.array([np.interp(grip_N, grips, column) for column in rows.reshape(len(grips), -1).T])
 
     def covers(self, grip_N: float, peak_A: float) -> bool:
         """Whether the records cover a peak current: it exceeds the recorded ones by at most 10 %."""
         return peak_A <= COVERED * self.recorded_at(grip_N)
-
-    def _power(self, grip_N: float) -> FloatArray:
-        """(m,) power at a grip, linear between recorded grips; the free device is not blended with held grips."""
-        kept = [j for j, grip in enumerate(self.grips_N) if (grip > 0) == (grip_N > 0)] or range(len(self.grips_N))
-        grips, rows = [self.grips_N[j] for j in kept], np.array([self.power[j] for j in kept])
-        return np.array([np.interp(grip_N, grips, column) for column in rows.T])
 
     def _excess(self, grip_N: float, peak_A: float) -> float:
         """Excess error of a tap, interpolated between the held-out taps over grip and peak current."""
@@ -105,7 +102,7 @@ class ModelError(Section):
         """
         size = 8 * current_A.size
         lines = np.fft.rfftfreq(size, dt_s)[1:]
-        power = np.interp(np.log(lines), np.log(self.frequencies_Hz), self._power(grip_N))
+        power = np.interp(np.log(lines), np.log(self.frequencies_Hz), self._at(grip_N, np.array(self.power)))
         missed = 2 * float(power @ np.abs(np.fft.rfft(current_A, size)[1:]) ** 2) / size
         linear = missed / max(energy, np.finfo(float).tiny)
         return float(np.hypot(np.sqrt(linear), self._excess(grip_N, float(np.abs(current_A).max(initial=0.0)))))

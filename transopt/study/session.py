@@ -67,14 +67,14 @@ def progress(name: str, total: int, done: int) -> Iterator[Advance]:
 
 
 @contextmanager
-def _stop_said(store: Store, total: int | None) -> Iterator[None]:
+def _stop_reported(store: Store, total: int | None) -> Iterator[None]:
     """On a stop, print how far the study came and where its rows are kept."""
     try:
         yield
     except (KeyboardInterrupt, SystemExit):
         of = "" if total is None else f" of {total}"
-        where = f"stopped: {store.done}{of} entries are in {store.path}; the same command goes on from there"
-        print(where, file=sys.stderr)
+        line = f"stopped: {store.done}{of} entries are in {store.path}; the same command goes on from there"
+        print(line, file=sys.stderr)
         raise
 
 
@@ -99,7 +99,7 @@ def run_plan(
     """
     keys, recorded = [axis.key for axis in plan.axes], StudyRecordings(plan.scene, plan.axes)
     with Store(folder, definition(plan, recorded), keys, plan.entries) as store:
-        with _stop_said(store, plan.entries), progress(name, plan.entries, store.done) as advance:
+        with _stop_reported(store, plan.entries), progress(name, plan.entries, store.done) as advance:
 
             def write(outcomes: list[Outcome]) -> None:
                 points = [plan.point_of(outcome["index"]) for outcome in outcomes]
@@ -151,5 +151,5 @@ def run_question(plan: Plan, question: Question, folder: Path, pool: Pool) -> An
             rows = store.read(first, own.entries)
             return [rows[j : j + per_value] for j in range(0, own.entries, per_value)]
 
-        with _stop_said(store, None):
+        with _stop_reported(store, None):
             return answer(question, solve)
