@@ -1,6 +1,7 @@
 """A page of a small scene."""
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -8,6 +9,9 @@ from transopt.scene.builtin import load_scene
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.web.service import Service
+
+if TYPE_CHECKING:
+    from tests.transopt.web.windows import Window
 
 MISSING = "the extra `page` is not installed"
 
@@ -32,3 +36,25 @@ def address(small: Scene) -> Iterator[str]:
 
     with Page(small) as served:
         yield served.address
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Yield a browser without a screen."""
+    from tests.transopt.web.windows import CHROMIUM, playwright
+
+    with playwright.sync_playwright() as player:
+        started = player.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield started
+        started.close()
+
+
+@pytest.fixture
+def window(browser: Any, address: str) -> "Iterator[Window]":
+    """Yield a window of the small page; no error may have come up in it."""
+    from tests.transopt.web.windows import Window
+
+    opened = Window(browser, address)
+    yield opened
+    assert opened.errors == []
+    opened.tab.close()

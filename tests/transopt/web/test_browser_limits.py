@@ -1,100 +1,29 @@
-"""The page in a real browser: what a hand and a keyboard can do, and what must not happen."""
+"""The limits of a page in a real browser: what a hand and a keyboard do to them, and what is shown then."""
 
-import os
 import re
-import shutil
-import subprocess
-import sys
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 import transopt as to
 from tests.transopt.web.conftest import MISSING
+from tests.transopt.web.windows import CURRENT, MARKS, Window, playwright, typed, violations
 from transopt.library.columns import COLUMNS
-from transopt.library.proven import load_proven
 from transopt.scene.builtin import load_scene
-from transopt.scene.file import read_scene
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed")
 for _name in ("starlette", "uvicorn", "websockets"):
     pytest.importorskip(_name, reason=MISSING)
 
 from transopt.web.serve import Page  # noqa: E402
 
-CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
-RECORDINGS = Path(__file__).parents[3] / "problems/recordings"
-REST_MS = 60_000
-CURRENT = "[id='of-limits.current_A']"
-playwright.expect.set_options(timeout=REST_MS)  # a machine with other work takes its time
-
-pytestmark = [
-    pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine"),
-    pytest.mark.timeout(300),
-]
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with playwright.sync_playwright() as player:
-        started = player.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield started
-        started.close()
-
-
-class Window:
-    """A window of the page, and what went wrong in it."""
-
-    def __init__(self, browser: Any, address: str, **how: Any) -> None:
-        self.tab = browser.new_page(**{"viewport": {"width": 1280, "height": 800}, **how})
-        self.errors: list[str] = []
-        self.tab.on("pageerror", lambda error: self.errors.append(str(error)))
-        self.tab.on("console", lambda said: self.errors.append(said.text) if said.type == "error" else None)
-        self.requests: list[str] = []
-        self.tab.on("request", lambda request: self.requests.append(request.url))
-        self.tab.goto(address)
-        self.rests()
-
-    def rests(self) -> None:
-        """Wait until everything is certified or refused, replayed and priced."""
-        self.says("#state", re.compile(r"certified and replayed|\b0 of \d+ certified"))
-
-    def says(self, place: str, text: Any) -> None:
-        playwright.expect(self.tab.locator(place)).to_contain_text(text)
-
-    def see(self, place: str, **how: Any) -> Any:
-        return self.tab.locator(place, **how)
-
-    def state(self, expression: str) -> Any:
-        return self.tab.evaluate(f"() => page.{expression}")
-
-    def limit(self) -> float:
-        return float(self.state("frame.taps[page.selected].input_limit"))
-
-
-def violations(tab: Any) -> list[str]:
-    """What axe finds against WCAG 2.2, levels A and AA."""
-    rules = {"runOnly": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"], "resultTypes": ["violations"]}
-    found = axe.Axe().run(tab, options=rules).response["violations"]
-    return [f"{each['id']}: {node['html']} {node['failureSummary']}" for each in found for node in each["nodes"]]
+pytestmark = MARKS
 
 
 @pytest.fixture(scope="module")
 def library(small: Scene) -> to.Library:
     return to.solve(small)
-
-
-@pytest.fixture
-def window(browser: Any, address: str) -> Iterator[Window]:
-    opened = Window(browser, address)
-    yield opened
-    assert opened.errors == []
-    opened.tab.close()
 
 
 def test_what_is_drawn_is_the_library_of_the_scene(window: Window, address: str, library: to.Library) -> None:
@@ -195,12 +124,6 @@ def test_every_control_is_reached_by_the_keyboard_and_moves(window: Window) -> N
     for choice in window.see("#sliders select").all():
         choice.select_option(index=choice.locator("option").count() - 1)
     window.says("#state", re.compile("of 2 certified"))
-
-
-def typed(window: Window, value: str, key: str = "limits.current_A") -> None:
-    number = window.see(f"[id='of-{key}-number']")
-    number.fill(value)
-    number.press("Enter")
 
 
 def test_numbers_are_typed_and_steps_undone_and_done_again(window: Window) -> None:
@@ -354,202 +277,3 @@ def test_what_is_not_certified_is_grey_and_says_why(browser: Any) -> None:
         assert window.state("frame.taps[0].certified") is False
         assert window.errors == []
         window.tab.close()
-
-
-def test_scene_library_and_figure_are_saved_by_the_browser(window: Window, tmp_path: Path, small: Scene) -> None:
-    files = {"save=scene": f"{small.name}.toml", "save=library": "library.npz"}
-    files |= {f"figure={kind}": f"{small.name}.{kind}" for kind in ("png", "svg")}
-    for button, name in files.items():
-        with window.tab.expect_download() as download:
-            window.see(f"[data-{button}]").click()
-        assert download.value.suggested_filename == name
-        download.value.save_as(tmp_path / name)
-    beside = with_values(small, {"recordings.folder": str(tmp_path)})
-    assert read_scene(tmp_path / f"{small.name}.toml") == beside
-    assert load_proven(tmp_path / "library.npz").tap_error.shape == (2, 1)
-    assert (tmp_path / f"{small.name}.png").read_bytes().startswith(b"\x89PNG")
-    drawing = (tmp_path / f"{small.name}.svg").read_text()
-    assert drawing.startswith("<svg")
-    assert f"{small.name}, 0.4 m/s, 3 N: tap error" in drawing
-
-
-TAP = RECORDINGS / "tap_0.3_m_s.csv"
-
-
-def test_own_taps_are_taken_and_what_is_none_is_answered_before_it_is_sent(window: Window, tmp_path: Path) -> None:
-    window.see("#files").set_input_files(str(TAP))
-    window.says("#description", "tap_0_3_m_s.csv")
-    playwright.expect(window.see("#cells .cell")).to_have_count(1)
-    window.rests()
-    assert violations(window.tab) == []
-    (tmp_path / "letter.csv").write_text("Dear reader,\n")
-    (tmp_path / "letter.doc").write_text("Dear reader,\n")
-    with (tmp_path / "long.csv").open("wb") as long:
-        long.truncate(30 * 2**20)
-    for name, words in (
-        ("letter.csv", "no rows of numbers"),
-        ("letter.doc", "no recording"),
-        ("long.csv", "30.0 MB"),
-    ):
-        window.see("#files").set_input_files(str(tmp_path / name))
-        window.says("#message", name)
-        window.says("#taps-answer", words)
-        assert window.see("body").get_attribute("class") in ("", None)
-        window.says("#description", "tap_0_3_m_s.csv")
-        assert window.see("#cells .cell").count() == 1
-    typed(window, "3")
-    window.rests()
-    assert window.limit() == pytest.approx(3.0)
-    window.see("#reset").click()
-    playwright.expect(window.see("#cells .cell")).to_have_count(2)
-    window.see("#bring").click()
-    playwright.expect(window.see("#cells .cell")).to_have_count(1)
-
-
-def test_a_file_is_dropped_onto_the_page(window: Window) -> None:
-    window.tab.evaluate(
-        "text => { const data = new DataTransfer(); data.items.add(new File([text], 'dropped.csv'));"
-        " dispatchEvent(new DragEvent('drop', { dataTransfer: data, cancelable: true })); }",
-        TAP.read_text(),
-    )
-    window.says("#description", "dropped.csv")
-    window.rests()
-
-
-def test_a_server_that_is_lost_and_comes_back_finds_taps_and_sliders_kept(browser: Any, small: Scene) -> None:
-    first = Page(small).start()
-    window = Window(browser, first.address)
-    window.see("#files").set_input_files(str(TAP))
-    window.says("#description", "tap_0_3_m_s.csv")
-    typed(window, "2.5")
-    window.rests()
-    port, token = int(first.address.split(":")[2].split("/")[0]), first.address.rstrip("/").rsplit("/", 1)[1]
-    first.close()
-    playwright.expect(window.see("#banner")).to_be_visible()
-    playwright.expect(window.see("body")).to_have_class("lost")
-    with Page(small, port=port, token=token):
-        playwright.expect(window.see("#banner")).to_be_hidden()
-        window.rests()
-        window.says("#description", "tap_0_3_m_s.csv")
-        assert window.see("#cells .cell").count() == 1
-        assert window.limit() == pytest.approx(2.5)
-        window.see("#undo").click()
-        window.rests()
-        assert window.limit() == pytest.approx(4.0)
-        window.tab.close()
-
-
-@pytest.mark.skipif(os.name != "posix", reason="kills a process")
-def test_a_command_that_was_killed_and_started_again_finds_own_taps_in_the_browser(browser: Any) -> None:
-    def served(port: int) -> subprocess.Popen[str]:
-        words = [sys.executable, "-m", "transopt", "page", "single_grip", "--port", str(port)]
-        return subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
-
-    def address(process: subprocess.Popen[str]) -> str:
-        assert process.stdout is not None
-        return process.stdout.readline().split(": ", 1)[1].strip()
-
-    with served(0) as process:
-        first = address(process)
-        window = Window(browser, first)
-        window.see("#files").set_input_files(str(TAP))
-        window.says("#description", "tap_0_3_m_s.csv")
-        process.kill()
-    playwright.expect(window.see("#banner")).to_be_visible()
-    with served(int(first.split(":")[2].split("/")[0])) as process:
-        window.tab.goto(address(process))
-        window.says("#description", "tap_0_3_m_s.csv")
-        window.rests()
-        assert window.see("#cells .cell").count() == 1
-        window.tab.close()
-        process.kill()
-
-
-def test_a_tap_is_heard_and_compared_at_one_gain(window: Window) -> None:
-    window.see("[data-sound=optimum]").click()
-    window.says("#state", "playing optimum")
-    window.see("#compare").click()
-    window.says("#state", "playing recorded, then optimum")
-
-
-def test_a_page_of_another_origin_reaches_nothing(browser: Any, address: str, tmp_path: Path) -> None:
-    tab = browser.new_page()
-    (tmp_path / "evil.html").write_text("<!doctype html><title>evil</title>")
-    tab.goto((tmp_path / "evil.html").as_uri())
-    closed = tab.evaluate(
-        "address => new Promise(done => { const socket = new WebSocket(address);"
-        " socket.onopen = () => done('open'); socket.onclose = () => done('closed'); })",
-        address.replace("http:", "ws:") + "window",
-    )
-    assert closed == "closed"
-    read = "address => fetch(address).then(answer => answer.text(), () => 'refused')"
-    assert tab.evaluate(read, address) == "refused"
-    tab.close()
-
-
-CONTRAST = """() => {
-  const style = getComputedStyle(document.documentElement);
-  const light = (name) => {
-    const hex = style.getPropertyValue(`--${name}`).trim();
-    const parts = [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) / 255)
-      .map((v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4));
-    return 0.2126 * parts[0] + 0.7152 * parts[1] + 0.0722 * parts[2];
-  };
-  const contrast = (a, b) => (Math.max(light(a), light(b)) + 0.05) / (Math.min(light(a), light(b)) + 0.05);
-  const inks = ["ink", "quiet", "accent", "recorded", "optimum", "clipped", "start", "warm", "limit", "refused"];
-  return Math.min(...inks.flatMap((ink) => ["ground", "raised"].map((ground) => contrast(ink, ground))));
-}"""
-
-
-def test_words_stand_out_from_their_ground_and_axe_finds_nothing(browser: Any, address: str) -> None:
-    window = Window(browser, address, reduced_motion="reduce")
-    for scheme in ("light", "dark"):
-        window.tab.emulate_media(color_scheme=scheme)
-        assert window.tab.evaluate(CONTRAST) >= 4.5
-        assert violations(window.tab) == []
-    window.see("#scenes").click()
-    playwright.expect(window.see(".card").first).to_be_visible()
-    assert violations(window.tab) == []
-    window.tab.close()
-
-
-def test_nothing_is_hidden_or_wider_than_the_window(browser: Any) -> None:
-    cut = """() => [...document.querySelectorAll("main *")].filter((element) =>
-      element.checkVisibility({ visibilityProperty: true }) && element.clientWidth && !element.closest("svg")
-      && getComputedStyle(element).display !== "inline" && element.scrollWidth > element.clientWidth + 1
-      && !element.matches("input, select")).map((element) => element.outerHTML.slice(0, 90))"""
-    with Page("wood_on_foam") as served:
-        window = Window(browser, served.address)
-        for width in (1280, 640, 400):  # twice as large on a screen of 1280 px is a window of 640
-            window.tab.set_viewport_size({"width": width, "height": 800})
-            assert window.tab.evaluate("() => document.documentElement.scrollWidth") <= width
-            assert window.tab.evaluate(cut) == []
-        window.tab.close()
-
-
-def test_another_scene_is_chosen_in_the_gallery(window: Window) -> None:
-    window.see("#scenes").click()
-    window.see(".card", has_text="lra_click").click()
-    window.says("#name", "lra_click")
-    window.rests()
-    assert window.see("#cells .cell").count() == 2
-    window.says("#selected", "click 250 Hz")
-
-
-def test_every_word_slider_and_column_has_a_tip(window: Window) -> None:
-    for group in window.see("details").all():
-        group.evaluate("group => { group.open = true; }")
-    bare = window.tab.evaluate(
-        """() => [...document.querySelectorAll("#sliders .control, #probes .control, .table thead .term, #key button,"
-      + "aside button, aside .switch, header button")].filter((element) => !element.closest("[data-tip]")?.dataset.tip
-      && !element.disabled && element.checkVisibility({ visibilityProperty: true })).map((one) => one.outerHTML)"""
-    )
-    assert bare == []
-    window.see(".table thead .floor .term").focus()
-    window.tab.keyboard.press("Tab")
-    window.tab.keyboard.press("Shift+Tab")
-    window.says("#tip", "without any limit")
-    window.tab.keyboard.press("Escape")
-    playwright.expect(window.see("#tip")).to_be_hidden()
-    window.see("#sliders .control").first.hover()
-    window.says("#tip", "limits.steady_current_A")
