@@ -21,6 +21,17 @@ MARKS = [
     pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine"),
     pytest.mark.timeout(300),
 ]
+INKED = """name => {
+  const canvas = document.querySelector("#plot canvas");
+  const colour = getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+  const parts = [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16));
+  const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+  let count = 0;
+  for (let at = 0; at < data.length; at += 4) {
+    if (data[at + 3] > 150 && parts.every((part, j) => Math.abs(part - data[at + j]) < 6)) count++;
+  }
+  return count;
+}"""
 
 
 class Window:
@@ -51,6 +62,10 @@ class Window:
 
     def limit(self) -> float:
         return float(self.state("frame.taps[page.selected].input_limit"))
+
+    def inked(self, curve: str) -> int:
+        """Pixels of the large plot that have the colour of a curve."""
+        return int(self.tab.evaluate(INKED, curve))
 
 
 def typed(window: Window, value: str, key: str = "limits.current_A") -> None:

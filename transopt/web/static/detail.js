@@ -1,7 +1,7 @@
 // The selected tap drawn large: acceleration, what drives the device, error and temperature over one time axis, which
 // can be zoomed and read.
 
-import { colours, sketch, within } from "./curves.js";
+import { colours, paint, sketch, within } from "./curves.js";
 import { largest } from "./words.js";
 
 const G = 9.80665; // m/s^2
@@ -21,7 +21,7 @@ function ticks(low, high, about) {
 export class Detail {
   // `read(words, now)`: what the curves are at the time that is pointed at, in words.
   constructor(element, read) {
-    Object.assign(this, { element, read, svg: element.querySelector("svg"), hidden: new Set(), zoomed: () => undefined });
+    Object.assign(this, { element, read, svg: element.querySelector("svg"), canvas: element.querySelector("canvas"), hidden: new Set(), zoomed: () => undefined });
     element.addEventListener("keydown", (event) => this.key(event));
     element.addEventListener("pointermove", (event) => this.pointed(event));
     element.addEventListener("pointerdown", (event) => {
@@ -159,12 +159,15 @@ export class Detail {
 
   draw(kept = false) {
     if (!this.frame || !this.view || !this.width) return;
-    sketch(this.svg, this.drawn(this.width, this.height, kept));
+    const { axes, curves } = this.drawn(this.width, this.height, kept);
+    sketch(this.svg, axes);
+    paint(this.canvas, this.width, this.height, curves);
     this.element.dataset.frame = this.frame.number;
     this.readOut();
   }
 
-  // The contents of the picture, with all colours in it, so that it can be saved as it is.
+  // The contents of the picture, with all colours in them, so that they can be saved as they are: the axes, which stay
+  // while the scales do, and above them the curves with their titles.
   drawn(width, height, kept) {
     const colour = colours(), curves = this.curves(), names = Object.keys(curves);
     const heights = { acceleration: 3, input: 2.6, error: 1.5, temperature: 1.2 };
@@ -173,9 +176,9 @@ export class Detail {
       temperature: `winding, C${C ? `; limit ${Number(C.toPrecision(4))}` : ""}` };
     const free = height - ROOM.top - ROOM.bottom - ROOM.between * (names.length - 1);
     const whole = names.reduce((sum, each) => sum + heights[each], 0);
-    const [left, right] = [ROOM.left, width - ROOM.right], parts = [];
-    const text = (x, y, words, how = {}) => parts.push(["text", { x, y, fill: colour.ink, ...how }, words]);
-    const along = (x1, y1, x2, y2, stroke, how = {}) => parts.push(["line", { x1, y1, x2, y2, stroke, ...how }]);
+    const [left, right] = [ROOM.left, width - ROOM.right], axes = [], above = [];
+    const text = (parts, x, y, words, how) => parts.push(["text", { x, y, fill: colour.ink, ...how }, words]);
+    const along = (parts, x1, y1, x2, y2, stroke, how = {}) => parts.push(["line", { x1, y1, x2, y2, stroke, ...how }]);
     this.panels = {};
     this.ranges = Object.fromEntries(names.map((each) => [each, this.range(each, curves[each], kept)]));
     let top = ROOM.top;
@@ -184,27 +187,27 @@ export class Detail {
       const size = (heights[each] / whole) * free, bottom = top + size, [low, high] = this.ranges[each];
       const y = (value) => bottom - ((value - low) / (high - low)) * size;
       this.panels[each] = { top, bottom, low, high, y };
-      for (const t of across) along(this.timeX(t / 1e3), top, this.timeX(t / 1e3), bottom, colour.grid);
+      for (const t of across) along(axes, this.timeX(t / 1e3), top, this.timeX(t / 1e3), bottom, colour.grid);
       for (const value of ticks(low, high, Math.max(size / 24, 3))) {
-        along(left, y(value), right, y(value), value === 0 ? colour.line : colour.grid);
-        text(left - 6, y(value) + 4, String(Number(value.toPrecision(6))), { "text-anchor": "end" });
+        along(axes, left, y(value), right, y(value), value === 0 ? colour.line : colour.grid);
+        text(axes, left - 6, y(value) + 4, String(Number(value.toPrecision(6))), { "text-anchor": "end" });
       }
       const drawn = curves[each].filter(([curve, times, values]) => times && values?.length && (curve === "limit" || !this.hidden.has(curve)));
-      parts.push(["clipPath", { id: `in-${each}` }, [["rect", { x: left, y: top, width: right - left, height: size }]]],
+      above.push(["clipPath", { id: `in-${each}` }, [["rect", { x: left, y: top, width: right - left, height: size }]]],
         ["g", { "clip-path": `url(#in-${each})`, fill: "none" }, drawn.map((curve) => this.path(curve, y, right - left))]);
       // The limit's handle lies at the upper right of the input.
-      text(right - 4, each === "input" ? (y(0) + y(-this.tap.input_limit)) / 2 + 5 : top + 13, titles[each],
+      text(above, right - 4, each === "input" ? (y(0) + y(-this.tap.input_limit)) / 2 + 5 : top + 13, titles[each],
         { "text-anchor": "end", "paint-order": "stroke", stroke: colour.ground, "stroke-width": 4, "stroke-linejoin": "round" });
       top = bottom + ROOM.between;
     }
     const bottom = top - ROOM.between;
     if (ended > this.view[0] && ended < this.view[1]) {
-      along(this.timeX(ended), ROOM.top, this.timeX(ended), bottom, colour.line, { "stroke-dasharray": "8 3 2 3" });
+      along(axes, this.timeX(ended), ROOM.top, this.timeX(ended), bottom, colour.line, { "stroke-dasharray": "8 3 2 3" });
     }
-    for (const t of across) text(this.timeX(t / 1e3), bottom + 15, String(t), { "text-anchor": "middle" });
-    text((left + right) / 2, bottom + 31, "time after contact, ms", { "text-anchor": "middle" });
-    if (this.cursor !== null) along(this.timeX(this.cursor), ROOM.top, this.timeX(this.cursor), bottom, colour.ink, { "stroke-width": 1 });
-    return parts;
+    for (const t of across) text(axes, this.timeX(t / 1e3), bottom + 15, String(t), { "text-anchor": "middle" });
+    text(axes, (left + right) / 2, bottom + 31, "time after contact, ms", { "text-anchor": "middle" });
+    if (this.cursor !== null) along(above, this.timeX(this.cursor), ROOM.top, this.timeX(this.cursor), bottom, colour.ink, { "stroke-width": 1 });
+    return { axes, curves: above };
   }
 
   // A curve, of which `y` is the height of a value and `pixels` are there for all that is looked at.
@@ -245,14 +248,14 @@ export class Detail {
   async file(kind, title) {
     const width = 1200, height = 800, head = 34, kept = [this.width, this.cursor];
     [this.width, this.cursor] = [width, null];
-    const inner = this.drawn(width, height - head, true);
+    const { axes, curves } = this.drawn(width, height - head, true);
     [this.width, this.cursor] = kept;
     const drawing = this.svg.cloneNode();
     for (const [name, value] of [["width", width], ["height", height], ["viewBox", `0 0 ${width} ${height}`],
       ["font-family", "sans-serif"], ["font-size", "13"]]) drawing.setAttribute(name, value);
     const { ground, ink } = colours();
     sketch(drawing, [["rect", { width: "100%", height: "100%", fill: ground }],
-      ["text", { x: ROOM.left, y: 22, "font-size": 16, fill: ink }, title], ["g", { transform: `translate(0 ${head})` }, inner]]);
+      ["text", { x: ROOM.left, y: 22, "font-size": 16, fill: ink }, title], ["g", { transform: `translate(0 ${head})` }, [...axes, ...curves]]]);
     this.draw(true);
     const vector = new Blob([new XMLSerializer().serializeToString(drawing)], { type: "image/svg+xml" });
     if (kind === "svg") return vector;
