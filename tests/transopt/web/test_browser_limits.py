@@ -150,6 +150,18 @@ def test_numbers_are_typed_and_steps_undone_and_done_again(window: Window) -> No
     assert window.limit() == pytest.approx(4.0)
 
 
+def test_a_number_that_is_being_typed_outlives_the_answer_to_the_one_before(window: Window) -> None:
+    typed(window, "3")
+    number = window.see("[id='of-limits.current_A-number']")
+    number.fill("2.7")
+    window.rests()
+    assert window.limit() == pytest.approx(3.0)
+    assert number.input_value() == "2.7"
+    number.press("Enter")
+    window.rests()
+    assert window.limit() == pytest.approx(2.7)
+
+
 def test_what_is_refused_is_said_at_its_field_and_a_limit_is_switched_on_and_off(window: Window) -> None:
     for text, words in (("-1", "current = -1"), ("1e3", "peak current of 10 A"), ("four", "is no number")):
         typed(window, text)

@@ -61,7 +61,7 @@ export class Sliders {
   follow(controls) {
     for (const control of controls) {
       const field = this.fields.get(control.key);
-      if (field && document.activeElement !== field.range) field.take(control.value);
+      if (field && !field.typing && document.activeElement !== field.range) field.take(control.value);
     }
   }
 }

@@ -44,6 +44,11 @@ export class Field {
     return valueAt(this.spec, this.range.value / STEPS);
   }
 
+  // Whether a number is being typed that has not been entered yet.
+  get typing() {
+    return document.activeElement === this.number && this.number.value !== this.text;
+  }
+
   typed() {
     const text = this.number.value.trim().replace(",", ".");
     const value = text === "" && this.spec.optional ? null : Number(text || NaN);
@@ -76,7 +81,7 @@ export class Field {
     if (document.activeElement !== this.range || Math.abs(this.sliderValue - shown) > 1e-3 * Math.abs(shown)) {
       this.range.value = Math.round(STEPS * shareOf(this.spec, shown));
     }
-    this.number.value = off ? "" : quantity(value);
+    this.number.value = this.text = off ? "" : quantity(value);
     this.number.placeholder = off ? "none" : "";
     this.range.setAttribute("aria-valuetext", quantity(value, this.spec.unit));
     this.element.classList.toggle("off", off);
