@@ -7,6 +7,7 @@ import pytest
 
 from controller.sim.sensors import SEED_SENSORS
 from tests.benches.commands import Run, assert_refused
+from transopt.identify.hand.tap import usable_taps
 from transopt.identify.measurement import load_measurement
 from transopt.recordings.recording import load_recording
 from transopt.scene.scene import Scene
@@ -115,6 +116,22 @@ def test_taps_on_an_object(play: Run) -> None:
     as_a_tap = load_recording(Path("t/tap_0.3m_s_3N_1.npz"))
     assert as_a_tap.speed_m_s == pytest.approx(0.3, rel=2e-3)
     np.testing.assert_array_equal(as_a_tap.acceleration.values, acceleration)
+
+
+def test_the_hand_is_read_from_taps_on_a_soft_object(play: Run) -> None:
+    """A soft object's force rises out of the noise milliseconds after contact: displacements begin where it began."""
+    outcome = play(*OBJECT, "--speeds", 0.1, "--grips", "1,5")
+    assert outcome.code == 0, outcome.err
+    trials = [load_measurement(path) for path in sorted(Path("t").glob("*.npz"))]
+    taps, complaints = usable_taps(trials)
+    assert complaints == []
+    for trial, tap in zip(trials, taps, strict=True):
+        force, position = trial.require("force", ""), trial.require("position", "").values
+        times = force.times_s
+        before = times < -0.01
+        straight = np.polynomial.Polynomial.fit(times[before], position[before], 1)
+        away = (position - straight(times))[: np.searchsorted(times, 0.03)]
+        assert float(tap.displacement_m[-1]) == pytest.approx(float(away[-1]), rel=0.05)
 
 
 def test_a_touch_too_light_for_the_trigger_is_named(play: Run) -> None:

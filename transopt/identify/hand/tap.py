@@ -121,8 +121,7 @@ def cut_tap(
     ------
     InputError : no contact, or a record that ends too early; the message lacks the trial's name.
     """
-    contact = onset(force_N, dt_s)
-    begin = max(contact - int(np.ceil(_GUARD_S / dt_s)) - _unseen(force_N, contact), 0)
+    contact, begin = _contact(force_N, dt_s)
     count = round(window_s / dt_s) + contact - begin
     rest, note = slice(0, begin), ""
     if begin < _BASELINE_S / dt_s:
@@ -201,6 +200,12 @@ def onset(force_N: FloatArray, dt_s: float) -> int:
         noise = max(noise, float(quiet.std()))
     away = np.abs(force_N - rest)
     return int(np.argmax(away > max(_NOISE * noise, _RISE * float(away.max()))))
+
+
+def _contact(force_N: FloatArray, dt_s: float) -> tuple[int, int]:
+    """Sample at which the contact is detected, and the one surely before it from which a tap is cut."""
+    contact = onset(force_N, dt_s)
+    return contact, max(contact - int(np.ceil(_GUARD_S / dt_s)) - _unseen(force_N, contact), 0)
 
 
 def _unseen(force_N: FloatArray, contact: int) -> int:
@@ -303,8 +308,7 @@ def _displacement_ratio(trial: Measurement, tap: HandTap) -> float:
     """Deviation measured by the encoder over that measured by the accelerometer."""
     position = trial.require("position", "position_m")
     force = trial.require("force", "force_N")
-    contact = onset(force.values, force.dt_s)
-    begin = contact - int(np.ceil(_GUARD_S / force.dt_s))
+    _, begin = _contact(force.values, force.dt_s)
     straight = np.polynomial.Polynomial.fit(np.arange(begin), position.values[:begin], 1)
     samples = np.arange(begin, begin + tap.force_N.size)
     deviation = position.values[samples] - straight(samples)
