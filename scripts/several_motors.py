@@ -26,7 +26,7 @@ from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import linear_stage
 from transopt.proof.arm_replay import replay_on_arm
 from transopt.proof.certify import certify
-from transopt.proof.several import replay_several
+from transopt.proof.replay import replayed
 from transopt.scene.builtin import load_scene
 from transopt.scene.keys import with_values
 from transopt.scene.recordings import recordings_of
@@ -179,7 +179,7 @@ def between(scene: Scene, library: Library, count: int, seed: int, along: tuple[
         problem = context.posed(at[0], at[1], place=(at[2], at[3])).problem
         best = optimum(problem, SolverOptions()).solution.command
         commands = np.stack([library.at(*at).command, best])
-        found.append(Between(*(played.figures.tap_error for played in replay_several([problem] * 2, commands))))
+        found.append(Between(*(played.figures.tap_error for played in replayed([problem] * 2, commands))))
     return found
 
 

@@ -10,7 +10,7 @@ from tests.benches.arms import drawn
 from transopt.problem.answer import Status
 from transopt.proof.effect import Effect
 from transopt.proof.farkas import is_infeasible
-from transopt.proof.several import replay_several
+from transopt.proof.replay import replayed
 from transopt.solvers.choose import solve_certified
 from transopt.solvers.options import SolverOptions
 
@@ -27,7 +27,7 @@ def judged(number: int) -> str:
     if not found.proof.accepted:
         return "bad"
     if number % EVERY == 0 and problem.stage.motors > 1:
-        (played,) = replay_several([problem], answer.command[None])
+        (played,) = replayed([problem], answer.command[None])
         predicted = Effect(problem, answer.command).motion.acceleration_m_s2
         if played.shortfalls(problem, answer.command, predicted):
             return "bad"

@@ -13,8 +13,7 @@ from transopt.problem.objective.figures import Figures
 from transopt.problem.objective.target import Target
 from transopt.proof.continuous import Accurate, accurate
 from transopt.proof.designed import Designed
-from transopt.proof.replay import Replay, figures_of, replay, replayed_figures
-from transopt.proof.several import replay_several
+from transopt.proof.replay import Replay, figures_of, replayed, replayed_figures
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,9 @@ class Batch:
         """The replay of each command, with the wall's feedback if there is a wall."""
         if self.designed[0].nonlinear is not None:
             return [both[1] for both in self._on_nonlinear_plant]
-        return self._replayed(self._together.of(slice(len(self.designed))) if self._share else None)
+        simulated = self._together.of(slice(len(self.designed))) if self._share else None
+        problems = [each.problem for each in self.designed]
+        return replayed(problems, self._transients, self._coil, told=self.told, simulated=simulated)
 
     @cached_property
     def linear_replays(self) -> list[Replay]:
@@ -71,10 +72,6 @@ class Batch:
     def rivals(self) -> list[Baselines]:
         """Figures of the two baseline methods for each answer; the baselines ignore the wall."""
         first = self.designed[0]
-        if self._several:
-            problems = [each.problem for each in self.designed] * 4
-            figures = [played.figures for played in replay_several(problems, self._rival_commands)]
-            return [Baselines(*figures[m :: len(self.designed)]) for m in range(len(self.designed))]
         if first.nonlinear is not None:
             return [Baselines(*self._figures_on_nonlinear_plant(each)) for each in self.designed]
         yardstick, targets, M = first.problem.yardstick, [*self.told] * 4, len(self.designed)
@@ -87,12 +84,7 @@ class Batch:
     @property
     def _share(self) -> bool:
         """Whether one simulation plays answers and baselines: not with a wall, which the baselines ignore."""
-        return self._with_rivals and self.designed[0].problem.wall is None and not self._several
-
-    @property
-    def _several(self) -> bool:
-        """Whether the device has several motors, so that each command is (m, N)."""
-        return self.designed[0].problem.stage.motors > 1
+        return self._with_rivals and self.designed[0].problem.wall is None
 
     @cached_property
     def _together(self) -> Accurate:
@@ -102,32 +94,12 @@ class Batch:
 
     @property
     def _transients(self) -> FloatArray:
-        """(M, N) the input that each answer adds to the wall's feedback."""
+        """(M, N), or (M, m, N) of m motors: the input that each answer adds to the wall's feedback."""
         if self._stated is not None:
             return self._stated
         # A solver that broke down returns NaN; the integrator plays zeros instead.
         commands = [np.nan_to_num(d.solution.command, nan=0.0, posinf=0.0, neginf=0.0) for d in self.designed]
         return np.stack([d.problem.transient_command(c) for d, c in zip(self.designed, commands, strict=True)])
-
-    def _replayed(self, simulated: Accurate | None) -> list[Replay]:
-        problems = [d.problem for d in self.designed]
-        if self._several:
-            return replay_several(problems, self._transients)
-        budgets = [p.thermal.budget for p in problems if p.thermal is not None]
-        walls = [p.wall for p in problems if p.wall is not None]
-        return replay(
-            problems[0].stage,
-            problems[0].grid,
-            self._transients,
-            self.told,
-            self._coil,
-            limits=[problem.limits for problem in problems],
-            walls=walls or None,
-            budgets=budgets or None,
-            simulated=simulated,
-            spread=problems[0].spread,
-            yardstick=problems[0].yardstick,
-        )
 
     @cached_property
     def _on_nonlinear_plant(self) -> list[list[Replay]]:

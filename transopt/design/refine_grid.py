@@ -31,7 +31,6 @@ from transopt.design.nodes import Interval, Nodes, Point, shares, spots
 from transopt.problem.answer import Certificate, Status
 from transopt.problem.objective.target import normal
 from transopt.proof.replay import replayed_figures
-from transopt.proof.several import replay_several
 from transopt.recordings.recording import Recording
 from transopt.scene.scene import Scene
 from transopt.scene.sections import Grid
@@ -252,13 +251,10 @@ class Errors:
                 for command in (own.solution.command, *(self.blend(nodes, point, spot) for nodes in (before, after)))
             ]
         )
-        device, problems = self.context.stage(grip, spot), [own.problem for own in entries for _ in range(3)]
-        if device.motors > 1:
-            told = [played.figures for played in replay_several(problems, commands)]
-        else:
-            # The coil is not simulated: heating is convex, so a blend heats at most as much as the blended heatings.
-            wanted = [self.context.reference(*point).target for point in part for _ in range(3)]
-            told = replayed_figures(device, self.context.yardstick, commands, wanted)
+        device = self.context.stage(grip, spot)
+        # The coil is not simulated: heating is convex, so a blend heats at most as much as the blended heatings.
+        wanted = [self.context.reference(*point).target for point in part for _ in range(3)]
+        told = replayed_figures(device, self.context.yardstick, commands, wanted)
         moved, _ = device.rollout(commands)
         found = []
         for j, point in enumerate(part):

@@ -7,7 +7,7 @@ Runge-Kutta step is a linear map, the same in every period.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -56,20 +56,20 @@ def _step_map(A: FloatArray, B: FloatArray, h_s: float) -> tuple[FloatArray, Flo
     """One Radau step of dx/dt = A x + B u with u held: x+ = P x + Q u."""
     n, s = A.shape[0], _WEIGHTS.size
     equations = np.eye(s * n) - h_s * np.einsum("ij,kl->ikjl", _BUTCHER, A).reshape(s * n, s * n)
-    slopes = np.linalg.solve(equations, np.tile(np.hstack([A, B]), (s, 1))).reshape(s, n, n + 1)
+    slopes = np.linalg.solve(equations, np.tile(np.hstack([A, B]), (s, 1))).reshape(s, n, -1)
     step = h_s * np.einsum("s,snm->nm", _WEIGHTS, slopes)
     return np.eye(n) + step[:, :n], step[:, n:]
 
 
 @dataclass(frozen=True)
 class Segment:
-    """The part of a servo period in which one command c acts, with maps from its start to each sample.
+    """The part of a servo period in which one command c (m,) acts, with maps from its start to each sample.
 
     Attributes
     ----------
     behind : number of ticks by which c was issued before the period's own command.
-    offsets_s : (m + 1,) times of the samples from the start of the period, the segment's start first.
-    P, Q : (m + 1, n, n) and (m + 1, n, 1) of x_j = P_j x_0 + Q_j c.
+    offsets_s : (S,) times of the samples from the start of the period, the segment's start first.
+    P, Q : (S, n, n) and (S, n, m) of x_j = P_j x_0 + Q_j c.
     """
 
     behind: int
@@ -80,14 +80,14 @@ class Segment:
 
 def _segment(flow: "Flow", start_s: float, end_s: float, behind: int, halvings: int) -> Segment:
     """The segment with its samples, each reached by as many Radau steps as the stiffest mode needs."""
-    n = flow.A.shape[0]
+    n, m = flow.B.shape
     samples = SAMPLES_PER_PERIOD // 2
     spacing = (end_s - start_s) / samples
     doublings = int(np.ceil(np.log2(max(flow.fastest_rad_s * spacing / STEP_RADIUS, 1.0)))) + halvings
-    step = np.eye(n + 1)
+    step = np.eye(n + m)
     step[:n, :n], step[:n, n:] = _step_map(flow.A, flow.B, spacing / 2**doublings)
     between = np.linalg.matrix_power(step, 2**doublings)
-    maps = [np.eye(n + 1)]
+    maps = [np.eye(n + m)]
     for _ in range(samples):
         maps.append(between @ maps[-1])
     stacked = np.stack(maps)
@@ -106,15 +106,15 @@ def _segments(flow: "Flow", grid: TimeGrid, halvings: int) -> list[Segment]:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """The K samples of each of M taps.
+    """The K samples of each of M taps; as in `Motion`, with p directions or m motors (M, p, K) or (M, m, K).
 
     Attributes
     ----------
     times_s : (K,) times, contact at 0.
-    acceleration_m_s2 : (M, K) y'' of the stylus.
+    acceleration_m_s2 : (M, K) y'' of the stylus; (M, 0) if the motion was not requested.
     plant_input : (M, K) input of the plant.
     felt : (M, K) command that acts on the amplifier.
-    velocity_m_s : (M, K) dy/dt of the motor mass; (M, 0) if it was not requested.
+    velocity_m_s : (M, K) dy/dt of the motor mass; (M, 0) if the motion was not requested.
     outputs : name -> (M, K) further output of the stage model.
     at_switching : (N,) indices of the samples just after each switching instant.
     segment_starts : (S,) indices of the first sample of each segment.
@@ -169,19 +169,20 @@ class Loop:
 
 @dataclass(frozen=True)
 class Flow:
-    """Plant and amplifier in balanced units: dx/dt = A x + B c.
+    """Plant and amplifiers in balanced units: dx/dt = A x + B c, with p directions and m motors.
 
-    The current is the last state, unless the amplifier is ideal and the current is the command c itself.
+    The currents are the last states, unless the amplifier is ideal and the currents are the commands c themselves.
 
     Attributes
     ----------
     A : (n, n).
-    B : (n, 1).
-    rows : (3 + further, n) rows over the states of y'', the current, the velocity of the motor mass and the further
-        outputs of the stage model.
-    direct : (3 + further,) their direct dependence on the command that acts.
+    B : (n, m).
+    rows : (R, n) rows over the states, R = p + 2 m + further: y'', the currents, the velocities of the motor masses
+        and the further outputs of the stage model.
+    direct : (R, m) their direct dependence on the commands that act.
     names : names of the further outputs.
     encoder : (n,) row over the states of the motor mass's position.
+    tracked : number of directions p.
     """
 
     A: FloatArray
@@ -190,6 +191,7 @@ class Flow:
     direct: FloatArray
     names: tuple[str, ...]
     encoder: FloatArray
+    tracked: int
 
     @cached_property
     def fastest_rad_s(self) -> float:
@@ -200,44 +202,39 @@ class Flow:
     def of(cls, stage: StageModel) -> "Flow":
         """The flow of a stage model's continuous-time plant and amplifier; its discrete matrices are not used."""
         plant, amplifier = stage.plant, stage.amplifier
-        n, velocity = plant.order, plant.Cv[0]
+        (n, m), p = plant.B.shape, plant.tracked
+        further = {name: plant.output(name).row[0] for name in stage.outputs}
+        moved = np.stack([*plant.Cv, *further.values()])
         if amplifier is None:
-            A, B, more, direct = plant.A, plant.B, 0, [plant.D[0, 0], 1.0, 0.0]
+            A, B = plant.A, plant.B
+            rows, direct = np.zeros((p + m + len(moved), n)), np.zeros((p + m + len(moved), m))
+            rows[:p], direct[:p], direct[p : p + m] = plant.C, plant.D, np.eye(m)
         else:
-            w = amplifier.rate_rad_s
-            A = np.block([[plant.A, plant.B], [np.zeros((1, n)), -w * np.eye(1)]])
-            B, more, direct = np.append(np.zeros((n, 1)), [[w]], axis=0), 1, [0.0, 0.0, 0.0]
+            w = amplifier.rate_rad_s * np.eye(m)
+            A, B = np.block([[plant.A, plant.B], [np.zeros((m, n)), -w]]), np.concatenate([np.zeros((n, m)), w])
+            rows, direct = np.zeros((p + m + len(moved), n + m)), np.zeros((p + m + len(moved), m))
+            rows[:p], rows[p : p + m, n:] = np.hstack([plant.C, plant.D]), np.eye(m)
+        rows[p + m :, :n] = moved
         # Balanced units (exact powers of two) keep small states above the rounding errors of large ones.
         even, units = balanced(A)
-        further = {name: plant.output(name).row for name in stage.outputs}
-        rows = np.zeros((3 + len(further), n + more))
-        for j, row in enumerate(further.values()):
-            rows[3 + j, :n] = row[0]
-        rows[0, :n], rows[2, :n] = plant.C[0], velocity
-        if more:
-            rows[0, n], rows[1, n] = plant.D[0, 0], 1.0
-        encoder = np.append(plant.Ce[0], np.zeros(more))
-        return cls(
-            even,
-            B / units[:, None],
-            rows * units,
-            np.array(direct + [0.0] * len(further)),
-            tuple(further),
-            encoder * units,
-        )
+        encoder = np.append(plant.Ce[0], np.zeros(A.shape[0] - n))
+        return cls(even, B / units[:, None], rows * units, direct, tuple(further), encoder * units, p)
 
 
 @dataclass(frozen=True)
 class Period:
-    """One servo period as one map, its two segments in sequence.
+    """One servo period as one map, its two segments in sequence, for n states and m motors.
+
+    The commands that act in a period, (1 + late) m, are those of its first and of its second segment if they differ.
 
     Attributes
     ----------
     segments : the two segments.
-    played : from the issued commands (issued_k, .., issued_(k+late)) to the states x_k at the starts of the periods
-        and the two commands that act in them (n + 2 outputs); the issued commands begin with zeros before the first.
-    to_middle : (n, n + 2) map of these outputs to the states at the start of the second segment.
-    to_samples : (2 + 1 + further, n + 2, K) map of them to the K samples of a period, for every row of the flow.
+    played : from the commands that act to the states x_k at the starts of the periods, followed by the commands of
+        both segments (n + 2 m outputs).
+    accelerating : from the commands that act to y'' (p) at the start of the arriving segment.
+    to_middle : (n, n + 2 m) map of the outputs of `played` to the states at the start of the second segment.
+    to_samples : (R, n + 2 m, K) map of them to the K samples of a period, for every row of the flow.
     late : ticks by which the second segment's command was issued after the first's.
     arriving : index of the segment in which a tick's own command begins to act.
     periods : number of simulated periods, until `after_s` after tau_N.
@@ -246,6 +243,7 @@ class Period:
 
     segments: list[Segment]
     played: LinearSystem
+    accelerating: LinearSystem
     to_middle: FloatArray
     to_samples: FloatArray
     late: int
@@ -258,22 +256,26 @@ class Period:
         """A period integrated with a Runge-Kutta step that is halved so many times."""
         segments = _segments(flow, grid, halvings)
         first, second = segments
-        n, late = flow.A.shape[0], first.behind - second.behind
-        by_command, acting = np.zeros((n, 1 + late)), np.zeros((n + 2, 1 + late))
-        by_command[:, 0] += (second.P[-1] @ first.Q[-1])[:, 0]
-        by_command[:, late] += second.Q[-1][:, 0]
-        acting[n, 0] = acting[n + 1, late] = 1.0
-        to_middle = np.hstack([first.P[-1], first.Q[-1], np.zeros((n, 1))])
-        periods = grid.stages + first.behind + int(np.ceil(after_s(grid) / grid.dt_s))
+        (n, m), late = flow.B.shape, first.behind - second.behind
+        by_command, acting = np.zeros((n, (1 + late) * m)), np.zeros((n + 2 * m, (1 + late) * m))
+        by_command[:, :m] += second.P[-1] @ first.Q[-1]
+        by_command[:, late * m :] += second.Q[-1]
+        acting[n : n + m, :m] = acting[n + m :, late * m :] = np.eye(m)
+        to_middle = np.hstack([first.P[-1], first.Q[-1], np.zeros((n, m))])
+        to_samples = _to_samples(flow, segments, to_middle)
+        # If the delay is a whole number of periods, a command begins to act at a tick, else within the period.
+        arriving = 0 if late == 0 else 1
+        arrives = to_samples[: flow.tracked, :, arriving * first.offsets_s.size]
+        over_period = second.P[-1] @ first.P[-1]
         return cls(
             segments,
-            LinearSystem(second.P[-1] @ first.P[-1], by_command, np.eye(n + 2, n), acting),
+            LinearSystem(over_period, by_command, np.eye(n + 2 * m, n), acting),
+            LinearSystem(over_period, by_command, arrives[:, :n], arrives @ acting),
             to_middle,
-            _to_samples(flow, segments, to_middle),
+            to_samples,
             late,
-            # If the delay is a whole number of periods, a command begins to act at a tick, else within the period.
-            arriving=0 if late == 0 else 1,
-            periods=periods,
+            arriving,
+            periods=grid.stages + first.behind + int(np.ceil(after_s(grid) / grid.dt_s)),
             instants=grid.stages + grid.after_stages,
         )
 
@@ -284,76 +286,92 @@ class Period:
         return slice(behind, behind + self.instants)
 
     def issued(self, commands: FloatArray) -> FloatArray:
-        """(M, periods + late or more) commands (M, N) with zeros before the first and after the last."""
+        """(M, m, periods + late or more) commands (M, m, N) with zeros before the first and after the last."""
         behind = self.segments[0].behind
-        found = np.zeros((commands.shape[0], behind + self.periods))
-        found[:, behind : behind + commands.shape[1]] = commands
+        found = np.zeros((*commands.shape[:2], behind + self.periods))
+        found[..., behind : behind + commands.shape[2]] = commands
         return found
 
 
 def _to_samples(flow: Flow, segments: list[Segment], to_middle: FloatArray) -> FloatArray:
     """`Period.to_samples`: each segment's samples follow from the states at its start and the command that acts."""
-    n = flow.A.shape[0]
+    n, m = flow.B.shape
     found = []
-    for j, (segment, started) in enumerate(zip(segments, (np.eye(n, n + 2), to_middle), strict=True)):
+    for j, (segment, started) in enumerate(zip(segments, (np.eye(*to_middle.shape), to_middle), strict=True)):
         by_start = np.einsum("on,snm->oms", flow.rows, segment.P @ started)
-        by_start[:, n + j] += flow.rows @ segment.Q[..., 0].T + flow.direct[:, None]
+        by_start[:, n + j * m : n + (j + 1) * m] += (
+            np.einsum("on,snm->oms", flow.rows, segment.Q) + flow.direct[..., None]
+        )
         found.append(by_start)
     return np.concatenate(found, axis=2)
 
 
+def lone(values: FloatArray) -> FloatArray:
+    """(M, N) from (M, 1, N): the axis of directions or motors is left out if there is one only."""
+    return values[:, 0] if values.shape[1] == 1 else values
+
+
 @dataclass(frozen=True)
 class Course:
-    """States of M taps at the start of every period, from the first tick until `after_s` after tau_N.
+    """M taps from the first tick until `after_s` after tau_N.
 
     Attributes
     ----------
     period : the map of every period.
-    given : (M, n + 2, periods) states, and the commands that act in the two segments.
-    command : (M, N) issued commands.
+    acting : (M, (1 + late) m, periods) commands that act in every period.
+    command : (M, N), or (M, m, N) with m motors: issued commands.
     """
 
     period: Period
-    given: FloatArray
+    acting: FloatArray
     command: FloatArray
 
     def of(self, taps: slice) -> "Course":
         """The course of some of the taps."""
-        return Course(self.period, self.given[taps], self.command[taps])
+        return Course(self.period, self.acting[taps], self.command[taps])
 
-    @property
+    @cached_property
+    def given(self) -> FloatArray:
+        """(M, n + 2 m, periods) states at the start of every period, and the commands of its two segments."""
+        return self.period.played.outputs(self.acting)
+
+    @cached_property
     def accelerations(self) -> FloatArray:
-        """(M, instants) y'' just after the switching instants."""
-        period = self.period
-        first = period.arriving * period.segments[0].offsets_s.size
-        return np.asarray(period.to_samples[0][:, first] @ self.given[..., period.at_switching])
+        """(M, instants), or (M, p, instants): y'' just after the switching instants of window and tail."""
+        return lone(self.period.accelerating.outputs(self.acting)[..., self.period.at_switching])
+
+    def sampled(self, rows: slice, first: int = 0) -> FloatArray:
+        """(M, K), or (M, r, K) of r rows of the flow: their values at all samples of the periods from `first` on."""
+        given = np.swapaxes(self.given[..., first:], 1, 2)
+        found = [(given @ to_samples).reshape(len(given), -1) for to_samples in self.period.to_samples[rows]]
+        return found[0] if len(found) == 1 else np.stack(found, axis=1)
 
     def rounding(self, flow: Flow) -> FloatArray:
         """(M,) rounding error of y'' there: `ROUNDING` times the largest sum of the absolute values of its terms."""
-        period, given = self.period, self.given[..., self.period.at_switching]
-        n = period.to_middle.shape[0]
+        period, given, (n, m), p = self.period, self.given[..., self.period.at_switching], flow.B.shape, flow.tracked
         states = period.to_middle @ given if period.arriving else given[:, :n]
-        felt = given[:, n + period.arriving]
-        terms = np.abs(flow.rows[0]) @ np.abs(states) + np.abs(flow.direct[0] * felt)
-        return np.asarray(ROUNDING * terms.max(axis=1))
+        felt = given[:, n + period.arriving * m :][:, :m]
+        terms = np.abs(flow.rows[:p]) @ np.abs(states) + np.abs(flow.direct[:p]) @ np.abs(felt)
+        return np.asarray(ROUNDING * terms.max(axis=(1, 2)))
 
 
 def _play(
     stage: StageModel, flow: Flow, grid: TimeGrid, commands: FloatArray, period: Period, loop: Loop | None
 ) -> Course:
-    """The states of M taps under the commands (M, N) [A], period by period; `loop` adds the wall's feedback."""
-    M, N = commands.shape
+    """The course of M taps under the commands (M, N), or (M, m, N) [A]; `loop` adds the wall's feedback."""
+    M, N = len(commands), commands.shape[-1]
     behind, periods, late = period.segments[0].behind, period.periods, period.late
     # Before the first command and after the waveform the command is zero, or the wall's feedback.
-    issued = period.issued(commands)
+    issued = period.issued(commands.reshape(M, -1, N))
     if loop is not None:
-        x, step = np.zeros((M, flow.A.shape[0])), period.played
+        x, step, only = np.zeros((M, flow.A.shape[0])), period.played, issued[:, 0]
         feedback = loop.start(stage, grid.dt_s)
         for k in range(periods):
-            issued[:, behind + k] += feedback.step(loop.read(k, x @ flow.encoder))
-            x = x @ step.A.T + issued[:, k : k + 1 + late] @ step.B.T
-    felt = np.stack([issued[:, by : by + periods] for by in range(1 + late)], axis=1)
-    return Course(period, period.played.outputs(felt), commands if loop is None else issued[:, behind : behind + N])
+            only[:, behind + k] += feedback.step(loop.read(k, x @ flow.encoder))
+            x = x @ step.A.T + only[:, k : k + 1 + late] @ step.B.T
+        commands = only[:, behind : behind + N]
+    acting = np.concatenate([issued[..., by : by + periods] for by in range(1 + late)], axis=1)
+    return Course(period, acting, commands)
 
 
 def after_s(grid: TimeGrid) -> float:
@@ -366,27 +384,28 @@ def fine(course: Course, flow: Flow, grid: TimeGrid, *, moving: bool = True) -> 
 
     Parameters
     ----------
-    moving : whether the velocity of the motor mass and the further outputs are requested.
+    moving : whether the motion is requested: y'', the velocity of the motor mass and the further outputs.
     """
-    period, given = course.period, np.swapaxes(course.given, 1, 2)
-    M, periods, columns = given.shape
-    samples = period.segments[0].offsets_s.size
-    with np.errstate(over="ignore", invalid="ignore"):  # the loop of an unstable wall overflows
-        values = [(given @ to_samples).reshape(M, -1) for to_samples in period.to_samples[: None if moving else 2]]
-    acceleration, current, *others = values
-    velocity, *further = others or [np.empty((M, 0))]
+    period, (n, m), p = course.period, flow.B.shape, flow.tracked
+    samples, M, periods = period.segments[0].offsets_s.size, len(course.acting), period.periods
+    acting = course.given[:, n:].reshape(M, 2, m, periods).transpose(0, 2, 3, 1)
     starts, ticks = samples * np.arange(2 * periods), grid.dt_s * np.arange(periods) - grid.lead_s
     offsets = np.concatenate([segment.offsets_s for segment in period.segments])
-    return Trajectory(
-        times_s=(ticks[:, None] + offsets).ravel(),
-        acceleration_m_s2=acceleration,
-        plant_input=current,
-        felt=np.repeat(given[..., columns - 2 :], samples, axis=2).reshape(M, -1),
-        velocity_m_s=velocity,
-        outputs=dict(zip(flow.names, further, strict=moving)),
-        at_switching=starts[period.arriving :: 2][period.at_switching][: grid.stages],
-        segment_starts=starts,
-    )
+    nothing, outputs = np.empty((M, m, 0)), dict[str, FloatArray]()
+    with np.errstate(over="ignore", invalid="ignore"):  # the loop of an unstable wall overflows
+        if moving:
+            further = enumerate(flow.names, p + 2 * m)
+            outputs = {name: course.sampled(slice(row, row + 1)) for row, name in further}
+        return Trajectory(
+            times_s=(ticks[:, None] + offsets).ravel(),
+            acceleration_m_s2=course.sampled(slice(p)) if moving else nothing[:, 0],
+            plant_input=course.sampled(slice(p, p + m)),
+            felt=lone(np.repeat(acting, samples, axis=3).reshape(M, m, -1)),
+            velocity_m_s=course.sampled(slice(p + m, p + 2 * m)) if moving else lone(nothing),
+            outputs=outputs,
+            at_switching=starts[period.arriving :: 2][period.at_switching][: grid.stages],
+            segment_starts=starts,
+        )
 
 
 @dataclass(frozen=True)
@@ -395,31 +414,33 @@ class Accurate:
 
     Attributes
     ----------
-    flow, loop : the simulated device and wall.
-    acceleration_m_s2 : (M, instants) y'' just after the switching instants of window and tail.
+    flow : the simulated device.
     step_error : (M,) largest difference of y'' from the result with twice the step, relative to its peak.
-    course : states of the taps.
+    course : the taps.
     """
 
     flow: Flow
-    loop: Loop | None
-    acceleration_m_s2: FloatArray
     step_error: FloatArray
     course: Course
 
+    @property
+    def acceleration_m_s2(self) -> FloatArray:
+        """(M, instants), or (M, p, instants): y'' just after the switching instants of window and tail."""
+        return self.course.accelerations
+
     def of(self, taps: slice) -> "Accurate":
-        """The replay of some of the commands; only without a wall."""
-        assert self.loop is None
-        return replace(
-            self,
-            acceleration_m_s2=self.acceleration_m_s2[taps],
-            step_error=self.step_error[taps],
-            course=self.course.of(taps),
-        )
+        """The replay of some of the commands."""
+        return Accurate(self.flow, self.step_error[taps], self.course.of(taps))
+
+
+def largest(values: FloatArray) -> FloatArray:
+    """(M,) largest absolute values of M courses (M, ...)."""
+    flat = values.reshape(len(values), -1)
+    return np.asarray(np.maximum(flat.max(axis=1, initial=0.0), -flat.min(axis=1, initial=0.0)))
 
 
 def accurate(stage: StageModel, grid: TimeGrid, commands: FloatArray, loop: Loop | None) -> Accurate:
-    """Play commands (M, N) [A], halving the step until halving changes y'' by at most `STEP_ERROR`.
+    """Play commands (M, N), or (M, m, N) [A], halving the step until that changes y'' by at most `STEP_ERROR`.
 
     After `MOST_HALVINGS` the finest course is returned with the `step_error` that remains.
 
@@ -437,11 +458,11 @@ def accurate(stage: StageModel, grid: TimeGrid, commands: FloatArray, loop: Loop
     for halvings in range(1, MOST_HALVINGS + 1):
         course = played(halvings)
         found = course.accelerations
-        difference, peak = np.abs(found - coarse).max(axis=1), np.abs(found).max(axis=1)
+        difference, peak = largest(found - coarse), largest(found)
         step_error = difference / peak_scale(peak, 0.0)
         if not np.all(step_error <= STEP_ERROR):
             step_error = difference / peak_scale(peak, course.rounding(flow))
         coarse = found
         if np.all(step_error <= STEP_ERROR):
             break
-    return Accurate(flow, loop, found, step_error, course)
+    return Accurate(flow, step_error, course)

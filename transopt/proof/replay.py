@@ -24,16 +24,27 @@ from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.figures import Figures, Yardstick
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
-from transopt.proof.continuous import AGREEMENT, Accurate, Loop, Trajectory, accurate, fine, peak_scale
-
-COMMANDS_AT_ONCE = (
-    16  # commands evaluated together: their samples fit into the processor's cache, several times faster
+from transopt.proof.continuous import (
+    AGREEMENT,
+    Accurate,
+    Course,
+    Flow,
+    Loop,
+    Trajectory,
+    accurate,
+    fine,
+    largest,
+    peak_scale,
 )
+
+COMMANDS_AT_ONCE = 16  # their samples fit into the processor's cache
 
 
 @dataclass(frozen=True)
 class Replay:
     """The continuous-time motion under one command.
+
+    With p directions accelerations are (p, N) and (p, M); with m motors inputs and commands are (m, N).
 
     Attributes
     ----------
@@ -43,11 +54,11 @@ class Replay:
     peak_input, peak_command : largest absolute values over all t.
     after_peak_m_s2 : largest |y''| after the waveform (`continuous.after_s`).
     reached : name of a limit -> largest absolute value over all t of the quantity it bounds; 0 for a limit that is
-        defined at the ticks only.
+        defined at the ticks only. A motor's value counts over its share of the limit.
     reached_while_stated : the same up to the last switching instant, tau_(N-1). Later values follow from the last
         command and, with a wall, from its feedback alone.
     winding_C, housing_C : highest temperatures over the horizon, or for taps that repeat over the periodic steady
-        state; NaN without a coil model.
+        state; NaN without a coil model and for several motors.
     command : (N,) the total command that was played; with a wall the transient plus the feedback of the replay.
     rounding_m_s2 : rounding error of y'', `ROUNDING` times the largest |C||x| + |D||i| at the switching instants.
     step_error : difference of y'' from a replay with half the step, relative to `scale_m_s2`.
@@ -115,7 +126,7 @@ class Replay:
 def replayed_figures(
     stage: StageModel, yardstick: Yardstick, commands: FloatArray, targets: Sequence[Target]
 ) -> list[Figures]:
-    """Figures of M commands (M, N) relative to their targets, by the same simulation as `replay`."""
+    """Figures of M commands (M, N), or (M, m, N), relative to their targets, by the same simulation as `replay`."""
     return figures_of(accurate(stage, yardstick.grid, commands, None), yardstick, targets)
 
 
@@ -160,26 +171,17 @@ def _reached(
         offset = row.offset
         if isinstance(offset, np.ndarray):
             offset = np.interp(run.times_s[at], instants[: offset.size], offset)
-        values = replace(row, offset=offset).value(_motion(runs[row.device], taps, at), run.felt[taps, at])
-        early = np.maximum(early, _largest(values[:, : over - at.start]))
-        whole = np.maximum(whole, _largest(values[:, over - at.start :]))
+        values = replace(row, offset=offset).value(_motion(runs[row.device], taps, at), run.felt[taps][..., at])
+        early = np.maximum(early, largest(values[:, : over - at.start]) / row.share)
+        whole = np.maximum(whole, largest(values[:, over - at.start :]) / row.share)
     return list(zip(np.maximum(whole, early).tolist(), early.tolist(), strict=True))
 
 
 def _motion(run: Trajectory, taps: slice | list[int], at: slice) -> Motion:
     """The motion of some taps at some samples."""
-    return Motion(
-        run.acceleration_m_s2[taps, at],
-        run.plant_input[taps, at],
-        run.velocity_m_s[taps, at],
-        np.zeros(0),
-        {name: values[taps, at] for name, values in run.outputs.items()},
-    )
-
-
-def _largest(values: FloatArray) -> FloatArray:
-    """(M,) largest absolute values of M courses (M, K)."""
-    return np.asarray(np.maximum(values.max(axis=1, initial=0.0), -values.min(axis=1, initial=0.0)))
+    acceleration, velocity = (each[taps][..., at] for each in (run.acceleration_m_s2, run.velocity_m_s))
+    outputs = {name: values[taps, at] for name, values in run.outputs.items()}
+    return Motion(acceleration, run.plant_input[taps][..., at], velocity, np.zeros(0), outputs)
 
 
 def alike(limits: Sequence[Limits]) -> list[tuple[Limit, list[int]]]:
@@ -248,7 +250,7 @@ def replay(
     spread: tuple[StageModel, ...] = (),
     yardstick: Yardstick | None = None,
 ) -> list[Replay]:
-    """Play M commands (M, N) on one device from rest, and compare each with its target.
+    """Play M commands (M, N), or (M, m, N) of m motors, on one device from rest; compare each with its target.
 
     The integrator's step resolves the fastest mode and is halved until the acceleration at the switching instants
     changes by less than 1e-10 of its scale; the remaining difference is reported as `step_error`.
@@ -256,7 +258,7 @@ def replay(
     Parameters
     ----------
     targets : one per command.
-    coil : thermal model of the coil; None leaves the temperatures NaN.
+    coil : thermal model of the coil; None leaves the temperatures NaN. For several motors it has to be None.
     limits : one set per command, whose bounded quantities are evaluated.
     walls : one per command. The commands are then the transients, and the feedback is added tick by tick from the
         replay's own encoder position, which `count_m` rounds to whole counts.
@@ -270,51 +272,82 @@ def replay(
     if simulated is None:
         loop = None if walls is None else Loop(walls, count_m)
         simulated = accurate(stage, grid, commands, loop)
-    M = commands.shape[0]
-    if simulated.loop is None and M > COMMANDS_AT_ONCE:
-        replays = list[Replay]()
-        for part in (slice(first, first + COMMANDS_AT_ONCE) for first in range(0, M, COMMANDS_AT_ONCE)):
-            replays += replay(
-                stage,
-                grid,
-                commands[part],
-                targets[part],
-                coil,
-                limits=None if limits is None else limits[part],
-                budgets=None if budgets is None else budgets[part],
-                simulated=simulated.of(part),
-                spread=spread,
-                yardstick=yardstick,
-            )
-        return replays
-    found, course = simulated, simulated.course
-    devices = stage, *spread
+    yardstick = Yardstick(grid) if yardstick is None else yardstick
+    devices, found = (stage, *spread), list[Replay]()
+    for taps in np.array_split(np.arange(len(commands)), -(-len(commands) // COMMANDS_AT_ONCE)):
+        part = slice(int(taps[0]), int(taps[-1]) + 1)
+        figures = figures_of(simulated.of(part), yardstick, targets[part])
+        its_limits = None if limits is None else limits[part]
+        its_budgets = None if budgets is None else budgets[part]
+        found += _replays(devices, grid, commands[part], figures, coil, its_limits, its_budgets, simulated.of(part))
+    return found
+
+
+def replayed(
+    problems: Sequence[TransientProblem],
+    commands: FloatArray,
+    coil: CoilModel | None = None,
+    *,
+    told: Sequence[Target] | None = None,
+    simulated: Accurate | None = None,
+) -> list[Replay]:
+    """`replay` M commands (M, N), or (M, m, N), each in its problem; with a wall they are the transients.
+
+    Parameters
+    ----------
+    problems : one per command, all with the same devices and time axis; targets, limits and budgets may differ.
+    told : targets that the figures refer to; by default those of the problems.
+    """
+    first = problems[0]
+    return replay(
+        first.stage,
+        first.grid,
+        commands,
+        [problem.target for problem in problems] if told is None else told,
+        coil,
+        limits=[problem.limits for problem in problems],
+        walls=[problem.wall for problem in problems if problem.wall is not None] or None,
+        budgets=[problem.thermal.budget for problem in problems if problem.thermal is not None] or None,
+        simulated=simulated,
+        spread=first.spread,
+        yardstick=first.yardstick,
+    )
+
+
+def _replays(
+    devices: tuple[StageModel, ...],
+    grid: TimeGrid,
+    commands: FloatArray,
+    figures: Sequence[Figures],
+    coil: CoilModel | None,
+    limits: Sequence[Limits] | None,
+    budgets: Sequence[Budget] | None,
+    simulated: Accurate,
+) -> list[Replay]:
+    """`replay` of commands that were simulated already, on the first device and those of the spread."""
+    stage, course, flow, step_error = devices[0], simulated.course, simulated.flow, simulated.step_error
     moving = limits is not None and any(
         _moves(limit, Played(devices, grid, limits[at[0]])) for limit, at in alike(limits)
     )
-    run, command = fine(course, found.flow, grid, moving=moving), course.command
-    rounding = course.rounding(found.flow)
-    acceleration, later = np.split(found.acceleration_m_s2, [grid.stages], axis=1)
-    current = run.plant_input[:, run.at_switching]
-    after = int(np.searchsorted(run.times_s, grid.end_s, side="right"))
-    unknown = np.full(M, np.nan)
-    winding, housing = (
-        (unknown, unknown) if coil is None else _temperatures(run, stage.amplifier, coil, budgets, grid)
-    )
-    runs, step_error = [run], found.step_error
+    run = fine(course, flow, grid, moving=moving)
+    runs, rounding = [run], course.rounding(flow)
+    acceleration, later = np.split(simulated.acceleration_m_s2, [grid.stages], axis=-1)
+    winding = housing = np.full(len(commands), np.nan)
+    if coil is not None:
+        winding, housing = _temperatures(run, stage.amplifier, coil, budgets, grid)
     if limits is not None and any(limit.of_each_device for of_entry in limits for limit in of_entry):
-        for device in spread:
+        for device in devices[1:]:
             its_own = accurate(device, grid, commands, None)
             runs.append(fine(its_own.course, its_own.flow, grid))
             step_error = np.maximum(step_error, its_own.step_error)
-    reached = [({}, {})] * M if limits is None else largest_reached(runs, limits, devices, grid)
-    figures = figures_of(found, Yardstick(grid) if yardstick is None else yardstick, targets)
-    largest = map(_largest, (run.plant_input, command, run.acceleration_m_s2[:, after:]))
-    numbers = np.stack([*largest, winding, housing, rounding, step_error], axis=1).tolist()
+    reached = [({}, {})] * len(commands) if limits is None else largest_reached(runs, limits, devices, grid)
+    after = _after_peak(course, flow, run.times_s, grid)
+    peaks = map(largest, (run.plant_input, course.command))
+    numbers = np.stack([*peaks, after, winding, housing, rounding, step_error], axis=1).tolist()
     return [
         Replay(
             acceleration_m_s2=acceleration[m],
-            plant_input=current[m],
+            plant_input=run.plant_input[m][..., run.at_switching],
             figures=figures[m],
             after_m_s2=later[m],
             peak_input=peak_input,
@@ -324,9 +357,17 @@ def replay(
             reached_while_stated=reached[m][1],
             winding_C=winding_C,
             housing_C=housing_C,
-            command=command[m],
+            command=course.command[m],
             rounding_m_s2=off,
             step_error=by_step,
         )
         for m, (peak_input, peak_command, after_peak, winding_C, housing_C, off, by_step) in enumerate(numbers)
     ]
+
+
+def _after_peak(course: Course, flow: Flow, times_s: FloatArray, grid: TimeGrid) -> FloatArray:
+    """(M,) largest |y''| after the waveform, at the samples after tau_N."""
+    first = int(np.searchsorted(times_s, grid.end_s, side="right"))
+    period, sample = divmod(first, times_s.size // course.period.periods)
+    with np.errstate(over="ignore", invalid="ignore"):  # the loop of an unstable wall overflows
+        return largest(course.sampled(slice(flow.tracked), period)[..., sample:])

@@ -18,7 +18,7 @@ from transopt.design.context import Context
 from transopt.design.optimum import optimum
 from transopt.problem.baselines import clipped_optimum, input_bounds, seed_inversion
 from transopt.problem.problem import TransientProblem
-from transopt.proof.several import replay_several
+from transopt.proof.replay import replayed
 from transopt.scene.recordings import recordings_of
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
@@ -79,7 +79,7 @@ def direction(scene: Scene) -> tuple[list[Traded], list[Proven]]:
         _, force_N_A = arm.at_tip(arm.place(*at))
         methods = list(_commands(problem, place, proven))
         free = methods[0][2]
-        replays = replay_several([problem] * len(methods), np.stack([command for _, _, command in methods]))
+        replays = replayed([problem] * len(methods), np.stack([command for _, _, command in methods]))
         for (method, weight, command), played in list(zip(methods, replays, strict=True))[1:]:
             tangential, angle = problem.yardstick.across(problem.target, played.acceleration_m_s2)
             figures = played.figures

@@ -19,7 +19,7 @@ from transopt.library.c_header import c_header
 from transopt.library.library import Library
 from transopt.library.proven import doubts
 from transopt.library.statements import misstatements
-from transopt.proof.several import replay_several
+from transopt.proof.replay import replayed
 from transopt.report.markdown import build_markdown
 from transopt.report.tables import refinement_summary
 from transopt.scene.recordings import recordings_of
@@ -210,7 +210,7 @@ def test_a_scene_whose_limits_are_too_tight_has_reasons() -> None:
 
 def test_replay_of_a_blend_is_between_its_nodes(library: Library) -> None:
     problem = library.problem(1, 0)
-    (played,) = replay_several([problem], library.at(0.3, 2.0).command[None])
+    (played,) = replayed([problem], library.at(0.3, 2.0).command[None])
     assert played.figures.tap_error < 2 * library.tap_error[1, [0, 4]].max()
 
 

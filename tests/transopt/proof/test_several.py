@@ -8,7 +8,7 @@ import pytest
 from tests.benches.arms import drawn, drawn_chain, posed
 from tests.benches.dense_motors import impulse
 from transopt.proof.effect import Effect
-from transopt.proof.several import replay_several
+from transopt.proof.replay import replayed
 from transopt.solvers.choose import solve
 from transopt.solvers.options import SolverOptions
 
@@ -17,7 +17,7 @@ from transopt.solvers.options import SolverOptions
 def test_agrees_with_the_prediction(seed: int) -> None:
     problem = drawn(seed)
     command = solve(problem, SolverOptions()).command
-    (played,) = replay_several([problem], command[None])
+    (played,) = replayed([problem], command[None])
     effect = Effect(problem, command)
     assert played.shortfalls(problem, command, effect.motion.acceleration_m_s2) == []
     scale = np.abs(effect.motion.acceleration_m_s2).max()
@@ -31,7 +31,7 @@ def test_agrees_with_impulses_of_each_motor_alone() -> None:
     problem = posed(drawn_chain(np.random.default_rng(3), 3))
     commands = np.random.default_rng(4).uniform(-1, 1, (1, *problem.rest.shape))
     commands[..., problem.free_stages :] = 0.0
-    (played,) = replay_several([problem], commands)
+    (played,) = replayed([problem], commands)
     N, C = problem.grid.stages, problem.stage.plant.C
     made = np.zeros((3, N))
     for j in range(3):
@@ -44,7 +44,7 @@ def test_agrees_with_impulses_of_each_motor_alone() -> None:
 def test_a_stronger_command_leaves_the_limits() -> None:
     problem = posed(drawn_chain(np.random.default_rng(3), 3), limit_A=0.5, shares=(1.0, 1.0, 0.5))
     command = solve(problem, SolverOptions()).command
-    within, beyond = replay_several([problem] * 2, np.stack([command, 1.001 * command]))
+    within, beyond = replayed([problem] * 2, np.stack([command, 1.001 * command]))
     limit = problem.limits.input
     assert not within.leaves(limit)
     assert beyond.leaves(limit)
@@ -57,7 +57,7 @@ def test_a_share_of_the_limit_counts_for_its_motor() -> None:
     narrower = replace(problem, limits=problem.limits.replaced(narrow))
     commands = np.zeros((1, 2, problem.grid.stages))
     commands[0, 1, :40] = 1.0
-    (played,) = replay_several([narrower], commands)
+    (played,) = replayed([narrower], commands)
     assert played.peak(narrow) == pytest.approx(4.0, rel=1e-6)
     assert played.leaves(narrow)
 
@@ -65,7 +65,7 @@ def test_a_share_of_the_limit_counts_for_its_motor() -> None:
 def test_a_wrong_prediction_is_found() -> None:
     problem = drawn(2)
     command = solve(problem, SolverOptions()).command
-    (played,) = replay_several([problem], command[None])
+    (played,) = replayed([problem], command[None])
     predicted = Effect(problem, command).motion.acceleration_m_s2.copy()
     predicted[2, 30] += 1e-4 * np.abs(predicted).max()
     assert "replayed acceleration differs from the predicted one" in played.shortfalls(problem, command, predicted)[0]
