@@ -187,7 +187,7 @@ class TestSolve:
 
         target = {
             "recordings": "transopt.scene.recordings.recordings_of",
-            "entries": "transopt.design.batch.replay",
+            "entries": "transopt.design.batch.replayed",
             "writing": "transopt.report.figures.bode_figure",
         }[instant]
         monkeypatch.setattr(target, interrupt)

@@ -124,7 +124,7 @@ def test_a_replay_that_breaks_is_told_in_its_rows(
     def breaks(*_: object, **__: object) -> None:
         raise ZeroDivisionError("no step")
 
-    for name in ("accurate", "replay"):
+    for name in ("accurate", "replayed"):
         monkeypatch.setattr(f"transopt.design.batch.{name}", breaks)
     found = run_task(replace(task(scene, taps, [{}], [0.3, 0.4]), rivals=rivals))
     assert [(each["status"], each["reason"]) for each in found] == [(DEFECT, "ZeroDivisionError: no step")] * 2
