@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from transopt.base.recursions import LinearSystem
-from transopt.base.signals import FloatArray, Signal
+from transopt.base.signals import FloatArray, Signal, alike
 
 ABREAST = 8  # courses that one call filters: as many as the widest register has numbers
 
@@ -87,14 +87,8 @@ def highpass_all(signals: Sequence[Signal], cutoff_Hz: float) -> list[Signal]:
 
 def _side_by_side(signals: Sequence[Signal], filtered: Callable[[FloatArray, float], FloatArray]) -> list[Signal]:
     """Signals with the values that `filtered` makes of courses (n, K) at a rate [Hz]; `ABREAST` courses at a time."""
-    alike: dict[tuple[float, int], list[int]] = {}
-    for i, x in enumerate(signals):
-        alike.setdefault((x.dt_s, x.values.size), []).append(i)
     found = list(signals)
-    for numbers in alike.values():
-        for first in range(0, len(numbers), ABREAST):
-            some = [signals[i] for i in numbers[first : first + ABREAST]]
-            courses = filtered(np.stack([x.values for x in some]), some[0].rate_Hz)
-            for i, x, values in zip(numbers[first:], some, courses, strict=False):
-                found[i] = replace(x, values=np.array(values))
+    for numbers, courses in alike(signals, ABREAST):
+        for i, values in zip(numbers, filtered(courses, signals[numbers[0]].rate_Hz), strict=True):
+            found[i] = replace(signals[i], values=np.array(values))
     return found

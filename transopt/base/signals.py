@@ -1,6 +1,7 @@
 """Uniformly sampled signals, the spline through them, and the measure of their error."""
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -165,9 +166,27 @@ def integral(rate: FloatArray, dt_s: float) -> FloatArray:
 
 def median(values: FloatArray) -> float:
     """Median of finite values (n,), n >= 1, in a third of the time of `np.median`."""
-    middle = values.size // 2
-    low = middle - 1 + values.size % 2
-    return float(np.partition(values, (low, middle))[low : middle + 1].mean())
+    return float(medians(values[None])[0])
+
+
+def medians(courses: FloatArray) -> FloatArray:
+    """(m,) median of each of m series (m, n) of finite values, n >= 1."""
+    middle = courses.shape[1] // 2
+    # numpy is several times faster with one place of the order than with two.
+    parted = np.partition(courses, middle, axis=1)
+    above = parted[:, middle]
+    return above if courses.shape[1] % 2 else np.asarray(0.5 * (parted[:, :middle].max(axis=1) + above))
+
+
+def alike(signals: Sequence[Signal], most: int) -> Iterator[tuple[list[int], FloatArray]]:
+    """Signals of one start, period and length, at most `most` at a time: their numbers (m,) and values (m, n)."""
+    groups: dict[tuple[float, float, int], list[int]] = {}
+    for i, x in enumerate(signals):
+        groups.setdefault((x.start_s, x.dt_s, x.values.size), []).append(i)
+    for group in groups.values():
+        for first in range(0, len(group), most):
+            some = group[first : first + most]
+            yield some, np.stack([signals[i].values for i in some])
 
 
 def nrmse(value: FloatArray, reference: FloatArray) -> float:

@@ -41,13 +41,12 @@ def pulled_back_after_s(position: Signal, onset_s: float) -> float | None:
     if position.dt_s > HALF_S / 4 or t[0] > PULLED_AT_S[0] - 2 * HALF_S:
         return None
     ends_s = PULLED_AT_S[t[-1] >= PULLED_AT_S]
-    came = np.diff(np.interp(ends_s[:, None] - [2 * HALF_S, HALF_S, 0.0], t, z))
+    before, after = np.diff(np.interp(ends_s[:, None] - [2 * HALF_S, HALF_S, 0.0], t, z)).T
     contact = position.until(onset_s)
-    deepest = np.minimum.accumulate(np.append(0.0, z[contact:]))
-    depth = -deepest[np.searchsorted(t, ends_s, side="right") - contact]
-    for end_s, (before, after), share in zip(ends_s, came, LEAST_SHARE * depth, strict=True):
-        if before >= 0 and after >= max(GROWTH * before, share, counts_m):
-            return float(end_s)
+    for i in np.flatnonzero((before >= 0) & (after >= np.maximum(GROWTH * before, counts_m))):
+        depth = -z[contact : np.searchsorted(t, ends_s[i], side="right")].min(initial=0.0)
+        if after[i] >= LEAST_SHARE * depth:
+            return float(ends_s[i])
     return None
 
 

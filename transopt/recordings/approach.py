@@ -151,8 +151,8 @@ def _completed(x: Signal, position: Signal | None, onset_s: float, trusted_from_
 
 def _fitted(x: Signal, position: Signal, inside: slice, onset_s: float, terms: int) -> tuple[FloatArray, FloatArray]:
     """Fit (`fitted`, over the time from contact) of the position minus the doubly integrated acceleration x."""
-    t = position.times_s[inside]
-    known = slice(0, x.before(t[-1]) + 1)  # up to the first sample after the position's last one
-    moved = integral(integral(x.values[known], x.dt_s), x.dt_s)
-    rest = position.values[inside] - np.interp(t, x.times_s[known], moved)
+    t = position.start_s + position.dt_s * np.arange(inside.start, inside.stop)
+    known = x.part(0, x.before(t[-1]) + 1)  # up to the first sample after the position's last one
+    moved = integral(integral(known.values, x.dt_s), x.dt_s)
+    rest = position.values[inside] - np.interp(t, known.times_s, moved)
     return fitted(float(t[0]) - onset_s, position.dt_s, rest, position.count, terms)

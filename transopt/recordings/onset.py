@@ -9,14 +9,17 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from transopt.base.errors import InputError
 from transopt.base.filters import highpass_all
-from transopt.base.signals import FloatArray, Signal, median
+from transopt.base.signals import FloatArray, Signal, alike, medians
 from transopt.recordings.approach import GUARD_S
 from transopt.recordings.recording import Recording
 from transopt.recordings.settings import Recordings
-from transopt.recordings.split import SLOWEST_HZ
+from transopt.recordings.split import SLOWEST_HZ, TAPS_AT_ONCE
+
+IntArray = NDArray[np.intp]
 
 AT_THE_START_S = 0.5e-3  # an onset this close to the start of the record has no baseline
 BASELINE_SAMPLES = 8  # fewest samples of a baseline
@@ -26,20 +29,25 @@ TOE_LEVEL = 5e-3  # of the peak: level at which a pulse begins; the energy below
 TOE_TO_NOISE = 3.0  # times the noise: least such level
 
 
-def _behind_last_below(values: FloatArray, level: float) -> int:
-    """Number of values up to and including the last one below a level; 0 if none is below."""
-    below = values[::-1] < level
-    last = int(np.argmax(below)) if below.size else 0
-    return values.size - last if below.any() else 0
+def _behind_last_below(values: FloatArray, before: IntArray, levels: FloatArray) -> IntArray:
+    """(m,) number of values up to and including the last one below a level; 0 if none is below.
+
+    Parameters
+    ----------
+    values : (m, n). before : (m,) samples of each that are looked at. levels : (m,).
+    """
+    n = values.shape[1]
+    below = (values < levels[:, None]) & (np.arange(n) < before[:, None])
+    return np.where(below.any(axis=1), n - np.argmax(below[:, ::-1], axis=1), 0)
 
 
-def _crossing(x: Signal, before: int, level: float) -> float:
-    """Last time before sample `before` at which a signal rises through `level`; the first sample's if never."""
-    j = _behind_last_below(x.values[:before], level) - 1
-    if j < 0:
-        return x.start_s
-    low, high = float(x.values[j]), float(x.values[j + 1])
-    return x.start_s + x.dt_s * (j + (level - low) / (high - low))
+def _crossings(values: FloatArray, before: IntArray, levels: FloatArray) -> FloatArray:
+    """(m,) last place before sample `before`, in samples, at which values (m, n) rise through a level; 0 if none."""
+    j = _behind_last_below(values, before, levels) - 1
+    taps, at = np.arange(j.size), np.maximum(j, 0)
+    low, high = values[taps, at], values[taps, np.minimum(at + 1, values.shape[1] - 1)]
+    rise = np.where(j < 0, 1.0, high - low)
+    return np.where(j < 0, 0.0, j + (levels - low) / rise)
 
 
 def find_onset(x: Signal) -> float:
@@ -49,10 +57,18 @@ def find_onset(x: Signal) -> float:
     threshold alone would be late by a part of the rise, and an error of one servo tick costs 8 %. The highest peak
     need not be the first.
     """
-    height = float(x.values.max())
-    risen = int(np.argmax(x.values >= 0.3 * height))
-    low, high = _crossing(x, risen, 0.1 * height), _crossing(x, risen, 0.3 * height)
-    return max(low - 0.5 * (high - low), x.start_s)
+    return find_onsets([x])[0]
+
+
+def find_onsets(signals: Sequence[Signal]) -> list[float]:
+    """`find_onset` of each signal."""
+    found = np.empty(len(signals))
+    for numbers, values in alike(signals, TAPS_AT_ONCE):
+        x, height = signals[numbers[0]], values.max(axis=1)
+        risen = np.argmax(values >= 0.3 * height[:, None], axis=1)
+        low, high = (x.start_s + x.dt_s * _crossings(values, risen, share * height) for share in (0.1, 0.3))
+        found[numbers] = np.maximum(low - 0.5 * (high - low), x.start_s)
+    return list(map(float, found))
 
 
 class Rise(NamedTuple):
@@ -87,25 +103,33 @@ def _toe(rise: Rise, onset_s: float, noise_m_s2: float, settings: Recordings) ->
     left = noise_m_s2 * np.sqrt(min(2 * settings.time_scale * settings.lowpass_Hz / x.rate_Hz, 1.0))
     level = max(TOE_LEVEL * float(x.values.max()), TOE_TO_NOISE * left)
     onset = x.before(onset_s)
-    first = _behind_last_below(rises[:onset], level)
+    first = int(_behind_last_below(rises[None], np.array([onset]), np.array([level]))[0])
     energy = recorded[first:] ** 2 - noise_m_s2**2
     toe, whole = float(energy[: onset - first].sum()), float(energy.sum())
     return min(x.start_s + x.dt_s * first, onset_s), max(toe, 0.0) / whole if whole > 0 else 0.0
 
 
-def _baseline(x: Signal) -> float | None:
+def _turned(signals: Sequence[Signal]) -> list[Signal]:
+    """The signals less their medians, turned so that the largest deviation is positive."""
+    found = list(signals)
+    for numbers, values in alike(signals, TAPS_AT_ONCE):
+        centred = values - medians(values)[:, None]
+        peaks = centred[np.arange(len(numbers)), np.argmax(np.abs(centred), axis=1)]
+        for i, turned in zip(numbers, centred * np.sign(peaks)[:, None], strict=True):
+            found[i] = replace(signals[i], values=turned)
+    return found
+
+
+def _baseline(x: Signal, onset_s: float) -> float | None:
     """Mean of the samples before the tap without their lowest and highest fifth; None if there are too few.
 
     The trimming ignores a bump caused by the moving hand.
     """
-    centred = x.values - median(x.values)
-    upright = Signal(x.start_s, x.dt_s, centred * np.sign(centred[np.argmax(np.abs(centred))]))
-    quiet = x.values[: x.before(find_onset(upright) - GUARD_S)]
+    quiet = x.values[: x.before(onset_s - GUARD_S)]
     if quiet.size < BASELINE_SAMPLES:
         return None
     fifth = quiet.size // 5
-    inner = np.partition(quiet, (fifth, quiet.size - fifth - 1))[fifth : quiet.size - fifth]
-    return float(inner.mean())
+    return float(np.sort(quiet)[fifth : quiet.size - fifth].mean())
 
 
 def _polarity(values: FloatArray, settings: Recordings) -> tuple[int, list[str]]:
@@ -140,15 +164,20 @@ class Upright(NamedTuple):
     notes: list[str]
 
 
-def upright(recording: Recording, settings: Recordings) -> Upright:
-    """Subtract the offset, and turn a sensor that was upside down.
+def uprights(recordings: Sequence[Recording], settings: Recordings) -> list[Upright]:
+    """Subtract the offsets, and turn sensors that were upside down.
 
     Raises
     ------
     InputError : nothing is above the offset.
     """
+    onsets = find_onsets(_turned([recording.acceleration for recording in recordings]))
+    return [_upright(recording, onset, settings) for recording, onset in zip(recordings, onsets, strict=True)]
+
+
+def _upright(recording: Recording, onset_s: float, settings: Recordings) -> Upright:
     raw = recording.acceleration
-    baseline, is_stated = _baseline(raw), settings.offset_m_s2 != "baseline"
+    baseline, is_stated = _baseline(raw, onset_s), settings.offset_m_s2 != "baseline"
     offset = float(settings.offset_m_s2) if is_stated else baseline or 0.0
     notes = []
     if not is_stated and baseline is None:
@@ -181,21 +210,27 @@ def rises(ups: Sequence[Upright], smooth: Sequence[Signal], settings: Recordings
     return found
 
 
+def onsets_of(rises: Sequence[Rise], settings: Recordings) -> list[float]:
+    """The onsets [s] to which the rises point, or the one that is stated."""
+    if settings.onset_s != "auto":
+        return [float(settings.onset_s)] * len(rises)
+    return find_onsets([rise.signal for rise in rises])
+
+
 def contact(
-    recording: Recording, up: Upright, rise: Rise, noise_m_s2: float, settings: Recordings
+    recording: Recording, up: Upright, rise: Rise, onset: float, noise_m_s2: float, settings: Recordings
 ) -> tuple[float, list[str]]:
     """Time of contact [s], and notes; a soft pulse begins before the onset that its rise points to.
 
     Parameters
     ----------
-    rise : of this tap. noise_m_s2 : rms of the white noise in the recording.
+    rise : of this tap. onset : as `onsets_of` finds it [s]. noise_m_s2 : rms of the white noise in the recording.
 
     Raises
     ------
     InputError : no tap stands out of the noise, or the stated onset lies outside of the recording.
     """
     raw, is_found, notes = recording.acceleration, settings.onset_s == "auto", list[str]()
-    onset = find_onset(rise.signal) if is_found else float(settings.onset_s)
     if not raw.start_s <= onset <= raw.end_s:
         raise InputError(
             f"{recording.name}: recordings.onset_s = {onset:g} s lies outside of the recording, {raw.start_s:g} to "

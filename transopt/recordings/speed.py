@@ -71,12 +71,11 @@ def fitted(first_s: float, dt_s: float, z: FloatArray, count: float, terms: int)
     first_s : time of the first sample. dt_s : time step of the samples.
     terms : number of coefficients, below n.
     """
-    powers, inverse = _polynomials(z.size, terms)
+    powers, inverse, choose, orders = _polynomials(z.size, terms)
     half_s = 0.5 * dt_s * (z.size - 1)
     # The binomial theorem converts coefficients in u, from -1 to 1, into those in t = half_s (u - start).
-    start, j = -(first_s + half_s) / half_s, np.arange(terms)
-    choose = np.array([[math.comb(k, i) for k in range(terms)] for i in range(terms)])
-    of_time = choose * start ** np.maximum(j - j[:, None], 0) / (half_s ** j[:, None])
+    start = -(first_s + half_s) / half_s
+    of_time = choose * start**orders / half_s ** orders[0][:, None]
     found = inverse @ z
     rest, free = z - powers @ found, z.size - terms
     scatter = max(math.sqrt(float(rest @ rest) / free), count / math.sqrt(12.0))
@@ -85,10 +84,15 @@ def fitted(first_s: float, dt_s: float, z: FloatArray, count: float, terms: int)
 
 
 @lru_cache(maxsize=8)  # taps of one rate have the same number of points
-def _polynomials(n: int, terms: int) -> tuple[FloatArray, FloatArray]:
-    """Powers (n, terms) of n evenly spaced numbers from -1 to 1, and their pseudo-inverse (terms, n)."""
-    powers = np.vander(np.linspace(-1.0, 1.0, n), terms, increasing=True)
-    return powers, np.asarray(np.linalg.pinv(powers), dtype=float)
+def _polynomials(n: int, terms: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Powers (n, terms) of n evenly spaced numbers from -1 to 1, and their pseudo-inverse (terms, n).
+
+    They are followed by the binomial coefficients (k over i) and the positive differences k - i of the orders
+    i (rows) and k (columns), each (terms, terms).
+    """
+    powers, j = np.vander(np.linspace(-1.0, 1.0, n), terms, increasing=True), np.arange(terms)
+    choose = np.array([[math.comb(k, i) for k in range(terms)] for i in range(terms)], dtype=float)
+    return powers, np.asarray(np.linalg.pinv(powers), dtype=float), choose, np.maximum(j - j[:, None], 0)
 
 
 @lru_cache(maxsize=64)  # taps of one rate have the same number of points

@@ -19,12 +19,12 @@ from transopt.files.formats import refuse_idle
 from transopt.files.unclear import UnclearError
 from transopt.recordings.after_contact import pulled_back_after_s, second_hit
 from transopt.recordings.approach import GUARD_S, find_approach
-from transopt.recordings.onset import Rise, Upright, contact, rises, upright
+from transopt.recordings.onset import Upright, contact, onsets_of, rises, uprights
 from transopt.recordings.plausible import HAND_M_S, implausible_motion, implausible_time
 from transopt.recordings.recording import Recording, load_recording
 from transopt.recordings.settings import Recordings
 from transopt.recordings.speed import FITTED, UNKNOWN, incoming_speed
-from transopt.recordings.split import split, white_noise
+from transopt.recordings.split import split, white_noises
 
 CLIPPED_RUN = 3  # samples; two equal ones may be chance
 CLEAR_PEAK_TO_NOISE = 20.0  # below it noise alone may exceed the 30 % of the peak by which the onset is found
@@ -258,15 +258,25 @@ def prepare_all(recordings: Sequence[Recording], settings: Recordings) -> list[P
     ------
     InputError : as by `prepare`, for one of the recordings that are refused.
     """
-    ups = [upright(recording, settings) for recording in recordings]
+    ups = uprights(recordings, settings)
     smooth = lowpass_all([up.signal for up in ups], settings.time_scale * settings.lowpass_Hz)
-    begun = zip(recordings, ups, smooth, rises(ups, smooth, settings), strict=True)
-    return [_prepared(*each, settings) for each in begun]
+    noises, risen = white_noises([recording.acceleration for recording in recordings]), rises(ups, smooth, settings)
+    onsets = onsets_of(risen, settings)
+    return [
+        _prepared(recording, up, low, contact(recording, up, rise, onset, noise, settings), noise, settings)
+        for recording, up, low, rise, onset, noise in zip(recordings, ups, smooth, risen, onsets, noises, strict=True)
+    ]
 
 
-def _prepared(recording: Recording, up: Upright, smooth: Signal, rise: Rise, settings: Recordings) -> PreparedTap:
-    raw, stretch, noise = recording.acceleration, settings.time_scale, white_noise(recording.acceleration)
-    onset, found = contact(recording, up, rise, noise, settings)
+def _prepared(
+    recording: Recording,
+    up: Upright,
+    smooth: Signal,
+    touched: tuple[float, list[str]],
+    noise: float,
+    settings: Recordings,
+) -> PreparedTap:
+    raw, stretch, (onset, found) = recording.acceleration, settings.time_scale, touched
     is_stated = settings.offset_m_s2 != "baseline"
     came = find_approach(up.signal, recording.position, onset, noise, settings.trusted_from_Hz, stated=is_stated)
     if came.acceleration is not up.signal:

@@ -1,6 +1,6 @@
 """Simulates the recordings of a scene: its device, not driven, strikes an object that the scene states."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -224,9 +224,9 @@ def _at_grip(scene: Scene, target: SimulatedTaps, grip_N: float, within_s: float
     drawn = random.standard_normal((speeds.size, before + last))
     drawn = np.hstack([drawn, [each.standard_normal(times.shape[1] - drawn.shape[1]) for each in later]])
     measured_g = 1.0 + target.noise_g_rtHz * np.sqrt(target.rate_Hz / 2) * drawn
-    measured_g[:, before:] += _between(acceleration, times[:, before:]) / STANDARD_GRAVITY_M_S2
     z = -speeds[:, None] * times
-    z[:, before:] = _between(encoder, times[:, before:])
+    felt_m_s2, z[:, before:] = _between((acceleration, encoder), times[:, before:])
+    measured_g[:, before:] += felt_m_s2 / STANDARD_GRAVITY_M_S2
     if not (np.isfinite(measured_g).all() and np.isfinite(z).all()):
         raise InputError(
             f"recordings.simulated: the simulation of a tap in steps of {STEP_S:g} s diverges: device or contact are "
@@ -248,11 +248,13 @@ def _at_grip(scene: Scene, target: SimulatedTaps, grip_N: float, within_s: float
     ]
 
 
-def _between(courses: FloatArray, times_s: FloatArray) -> FloatArray:
+def _between(kinds: Sequence[FloatArray], times_s: FloatArray) -> list[FloatArray]:
     """(V, m) courses (V, K) in steps of `STEP_S` from 0 on, interpolated linearly at times (V, m) within them."""
     places = times_s.T / STEP_S  # transposed, as `strike` stores its courses with instants outermost
-    left = np.clip(places.astype(int), 0, courses.shape[1] - 2)
-    course = np.arange(courses.shape[0])
-    with np.errstate(all="ignore"):  # courses that overflowed
-        low = courses.T[left, course]
-        return np.asarray((low + (places - left) * (courses.T[left + 1, course] - low)).T)
+    left = np.clip(places.astype(int), 0, kinds[0].shape[1] - 2)
+    course, share, found = np.arange(times_s.shape[0]), places - left, list[FloatArray]()
+    for courses in kinds:
+        low, high = courses.T[left, course], courses.T[left + 1, course]
+        with np.errstate(all="ignore"):  # courses that overflowed
+            found.append((low + share * (high - low)).T)
+    return found
