@@ -13,12 +13,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from transopt.base.matrices import balanced
 from transopt.base.recursions import LinearSystem
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import StageModel, split_delay
 from transopt.plant.time_grid import TimeGrid
 from transopt.plant.wall import FeedbackLoop, HandOver
+from transopt.proof.flow import Flow
 
 SAMPLES_PER_PERIOD = 8  # samples of the trajectory per servo period
 STEP_RADIUS = 0.5  # largest |eigenvalue| times step at the start; an unresolved stiff mode would be damped out
@@ -78,7 +78,7 @@ class Segment:
     Q: FloatArray
 
 
-def _segment(flow: "Flow", start_s: float, end_s: float, behind: int, halvings: int) -> Segment:
+def _segment(flow: Flow, start_s: float, end_s: float, behind: int, halvings: int) -> Segment:
     """The segment with its samples, each reached by as many Radau steps as the stiffest mode needs."""
     n, m = flow.B.shape
     samples = SAMPLES_PER_PERIOD // 2
@@ -94,7 +94,7 @@ def _segment(flow: "Flow", start_s: float, end_s: float, behind: int, halvings: 
     return Segment(behind, np.linspace(start_s, end_s, samples + 1), stacked[:, :n, :n], stacked[:, :n, n:])
 
 
-def _segments(flow: "Flow", grid: TimeGrid, halvings: int) -> list[Segment]:
+def _segments(flow: Flow, grid: TimeGrid, halvings: int) -> list[Segment]:
     """The two segments of a period [t_k, t_(k+1)): the earlier command acts until the delay's fraction has passed."""
     dt = grid.dt_s
     whole, late = split_delay(grid.delay_s, dt)
@@ -165,60 +165,6 @@ class Loop:
         approach = np.array([wall.approach_m_s for wall in self.walls])
         first = self.read(0, np.zeros(approach.size))
         return FeedbackLoop(wall, stage.amplifier, dt_s, first, approach)
-
-
-@dataclass(frozen=True)
-class Flow:
-    """Plant and amplifiers in balanced units: dx/dt = A x + B c, with p directions and m motors.
-
-    The currents are the last states, unless the amplifier is ideal and the currents are the commands c themselves.
-
-    Attributes
-    ----------
-    A : (n, n).
-    B : (n, m).
-    rows : (R, n) rows over the states, R = p + 2 m + further: y'', the currents, the velocities of the motor masses
-        and the further outputs of the stage model.
-    direct : (R, m) their direct dependence on the commands that act.
-    names : names of the further outputs.
-    encoder : (n,) row over the states of the motor mass's position.
-    tracked : number of directions p.
-    """
-
-    A: FloatArray
-    B: FloatArray
-    rows: FloatArray
-    direct: FloatArray
-    names: tuple[str, ...]
-    encoder: FloatArray
-    tracked: int
-
-    @cached_property
-    def fastest_rad_s(self) -> float:
-        """Largest |eigenvalue| of A."""
-        return float(np.abs(np.linalg.eigvals(self.A)).max())
-
-    @classmethod
-    def of(cls, stage: StageModel) -> "Flow":
-        """The flow of a stage model's continuous-time plant and amplifier; its discrete matrices are not used."""
-        plant, amplifier = stage.plant, stage.amplifier
-        (n, m), p = plant.B.shape, plant.tracked
-        further = {name: plant.output(name).row[0] for name in stage.outputs}
-        moved = np.stack([*plant.Cv, *further.values()])
-        if amplifier is None:
-            A, B = plant.A, plant.B
-            rows, direct = np.zeros((p + m + len(moved), n)), np.zeros((p + m + len(moved), m))
-            rows[:p], direct[:p], direct[p : p + m] = plant.C, plant.D, np.eye(m)
-        else:
-            w = amplifier.rate_rad_s * np.eye(m)
-            A, B = np.block([[plant.A, plant.B], [np.zeros((m, n)), -w]]), np.concatenate([np.zeros((n, m)), w])
-            rows, direct = np.zeros((p + m + len(moved), n + m)), np.zeros((p + m + len(moved), m))
-            rows[:p], rows[p : p + m, n:] = np.hstack([plant.C, plant.D]), np.eye(m)
-        rows[p + m :, :n] = moved
-        # Balanced units (exact powers of two) keep small states above the rounding errors of large ones.
-        even, units = balanced(A)
-        encoder = np.append(plant.Ce[0], np.zeros(A.shape[0] - n))
-        return cls(even, B / units[:, None], rows * units, direct, tuple(further), encoder * units, p)
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,6 @@ from transopt.proof.continuous import (
     AGREEMENT,
     Accurate,
     Course,
-    Flow,
     Loop,
     Trajectory,
     accurate,
@@ -36,6 +35,7 @@ from transopt.proof.continuous import (
     largest,
     peak_scale,
 )
+from transopt.proof.flow import Flow
 
 COMMANDS_AT_ONCE = 16  # their samples fit into the processor's cache
 
