@@ -274,7 +274,9 @@ class Course:
 
     def of(self, taps: slice) -> "Course":
         """The course of some of the taps."""
-        return Course(self.period, self.acting[taps], self.command[taps])
+        found = Course(self.period, self.acting[taps], self.command[taps])
+        vars(found)["accelerations"] = self.accelerations[taps]
+        return found
 
     @cached_property
     def given(self) -> FloatArray:

@@ -276,10 +276,11 @@ def replay(
     devices, found = (stage, *spread), list[Replay]()
     for taps in np.array_split(np.arange(len(commands)), -(-len(commands) // COMMANDS_AT_ONCE)):
         part = slice(int(taps[0]), int(taps[-1]) + 1)
-        figures = figures_of(simulated.of(part), yardstick, targets[part])
+        some = simulated.of(part)
+        figures = figures_of(some, yardstick, targets[part])
         its_limits = None if limits is None else limits[part]
         its_budgets = None if budgets is None else budgets[part]
-        found += _replays(devices, grid, commands[part], figures, coil, its_limits, its_budgets, simulated.of(part))
+        found += _replays(devices, grid, commands[part], figures, coil, its_limits, its_budgets, some)
     return found
 
 
