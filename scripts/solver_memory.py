@@ -109,10 +109,9 @@ def cases() -> Iterator[Stages]:
 
 def written(stages: Stages) -> bytes:
     """A problem in the format of `solver_memory.c`."""
-    names = [name for name, kind in extension.PROBLEM_FIELDS if kind is extension.DOUBLES]
-    integers = [stages.sizes[name] for name, kind in extension.PROBLEM_FIELDS if kind is extension.ct.c_int]
-    numbers = [stages.numbers[name] for name, kind in extension.PROBLEM_FIELDS if kind is extension.ct.c_double]
-    arrays = [stages.arrays[name] for name in names]
+    integers = [stages.sizes[name] for name in stage_data.SIZES]
+    numbers = [stages.numbers[name] for name in stage_data.NUMBERS]
+    arrays = [stages.arrays[name] for name in stage_data.ARRAYS]
     head = struct.pack(f"={len(integers)}i{len(numbers)}d", *integers, *numbers)  # without gaps between the kinds
     lengths = struct.pack(f"{len(arrays)}q", *(array.size for array in arrays))
     return head + lengths + b"".join(array.tobytes() for array in arrays)

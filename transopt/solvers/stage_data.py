@@ -5,12 +5,15 @@ They are computed from the linear stage and from the rows of the limits, as the 
 """
 
 import operator
+import struct
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
+
+from numpy.typing import NDArray
 
 from transopt.base.recursions import address
 from transopt.base.signals import FloatArray
@@ -25,7 +28,18 @@ from transopt.solvers.stated_rows import WINDING, Rows, kelvin, rows_of
 
 MOST_KEPT = 64  # cached problems per thread: as many as are solved side by side, also without the temperature
 NO_LIMITS = dict.fromkeys(("G", "d", "d_size", "lower", "upper"), np.zeros(0))
-NO_ADDRESSES = {name: address(array) for name, array in NO_LIMITS.items()}
+# Integers, addresses of arrays, and scalars of `tr_problem` of riccati.c, in its order.
+SIZES = ("stages", "free_stages", "states", "motors", "outputs", "ends", "rows", "nodes", "current", "repeated")
+ARRAYS = (
+    *("A", "C", "E", "weight", "reference", "rule_gain", "rule_offset", "end_gain", "end_target"),
+    *("G", "d", "d_size", "lower", "upper", "M", "b", "gain", "square", "F", "f"),
+)
+NUMBERS = ("movement_weight", "decay", "ripple", "copper", "command_bound", "constant")
+RECORD = np.dtype(
+    [(name, kind) for kind, names in ((np.intc, SIZES), (np.uintp, ARRAYS), (float, NUMBERS)) for name in names],
+    align=True,
+)
+_PACK = struct.Struct(f"{len(SIZES)}i{len(ARRAYS)}P{len(NUMBERS)}d").pack
 
 
 def tracking_values(problem: TransientProblem, stage: LinearStage) -> dict[str, FloatArray]:
@@ -111,9 +125,9 @@ class Stages:
     arrays: dict[str, FloatArray]
 
     @cached_property
-    def addresses(self) -> dict[str, int]:
-        """Addresses of the arrays, by name."""
-        return {name: address(array) for name, array in self.arrays.items()}
+    def record(self) -> bytes:
+        """`tr_problem`; valid as long as these stage data exist, which keep the arrays alive."""
+        return _record(self.sizes, self.numbers, self.arrays)
 
     def command(self, scaled: FloatArray) -> FloatArray:
         """(N,) or (m, N) commands [A] from scaled ones, clipped to the command bound (`held`)."""
@@ -130,18 +144,21 @@ class Stages:
     def multipliers(self, by_row: FloatArray, gradient: FloatArray) -> Multipliers:
         """Multipliers of J in SI, from the scaled ones (N + 1, rows), upper less lower, and the gradient."""
         problem, N = self.problem, self.sizes["stages"]
-        scaled = dict(zip(self.limits.kinds, (by_row / self.limits.unit).T, strict=True))
+        scaled = np.ascontiguousarray((by_row / self.limits.unit).T)
+        upper, lower = np.maximum(scaled, 0.0), np.maximum(-scaled, 0.0)
+        place = {kind: j for j, kind in enumerate(self.limits.kinds)}
         pairs, slope = {}, np.zeros(N)
         for limit, row in problem.rows():
-            if not row.linear:
-                continue
-            mu = scaled[row.name][:N] * (OBJECTIVE_SCALE / limit.stated)
-            pairs[row.name] = (-mu, mu)
+            if row.linear:
+                by, j = OBJECTIVE_SCALE / limit.stated, place[row.name]
+                pairs[row.name] = (lower[j, :N] * by, upper[j, :N] * by)
         if problem.thermal is not None:
-            slope = slope_of(-scaled["size_above"][:N], -scaled["size_below"][:N])
-            mu = scaled[WINDING][1:] * (OBJECTIVE_SCALE / self.kelvin)
-            pairs[problem.thermal.row_names[0]] = (np.zeros(N), mu)
-        return Multipliers(N, pairs, self.hand_over(gradient), slope).clipped()
+            slope = slope_of(lower[place["size_above"], :N], lower[place["size_below"], :N])
+            pairs[problem.thermal.row_names[0]] = (
+                np.zeros(N),
+                upper[place[WINDING], 1:] * (OBJECTIVE_SCALE / self.kelvin),
+            )
+        return Multipliers(N, pairs, self.hand_over(gradient), slope)
 
 
 def slope_of(above: FloatArray, below: FloatArray) -> FloatArray:
@@ -151,6 +168,17 @@ def slope_of(above: FloatArray, below: FloatArray) -> FloatArray:
     """
     above, below = np.maximum(above, 0.0), np.maximum(below, 0.0)
     return np.asarray((above - below) / np.maximum(above + below, np.finfo(float).tiny))
+
+
+def _record(sizes: Mapping[str, int], numbers: Mapping[str, float], arrays: Mapping[str, FloatArray]) -> bytes:
+    """`tr_problem` with these sizes, numbers and arrays; what is missing is zero."""
+    at = (address(arrays[name]) if name in arrays else 0 for name in ARRAYS)
+    return _PACK(*(sizes.get(name, 0) for name in SIZES), *at, *(numbers.get(name, 0.0) for name in NUMBERS))
+
+
+def records_of(given: Sequence[bytes]) -> NDArray[np.void]:
+    """An array of `tr_problem` from its elements."""
+    return np.frombuffer(bytearray().join(given), dtype=RECORD)  # numpy would join them field by field
 
 
 _memory = threading.local()
@@ -282,20 +310,23 @@ def _stages(problems: Sequence[TransientProblem]) -> list[Stages]:
         "end_gain": np.stack([each.gain for each in after]) @ shared.modes.T * by,
         "end_target": np.stack([each.target for each in after]) * by,
     }
-    places = {name: (address(array), array.strides[0]) for name, array in arrays.items()}
-    addresses = {name: address(array) for name, array in shared.arrays.items()}
     sizes, found = shared.sizes | {"ends": after[0].target.size}, []
-    for j, (problem, its_tail) in enumerate(zip(problems, after, strict=True)):
+    constants = [(each.tracking.constant + its.rest) / OBJECTIVE_SCALE for each, its in zip(problems, after, strict=True)]
+    records = records_of([_record(sizes, shared.numbers, shared.arrays)] * len(problems))
+    records["constant"] = constants
+    for name, array in arrays.items():
+        records[name] = address(array) + array.strides[0] * np.arange(len(problems))
+    for j, problem in enumerate(problems):
         given = Stages(
             problem=problem,
             input_scale=stage.input_scale,
             kelvin=shared.kelvin,
             limits=shared.limits,
             sizes=sizes,
-            numbers=shared.numbers | {"constant": (problem.tracking.constant + its_tail.rest) / OBJECTIVE_SCALE},
+            numbers=shared.numbers | {"constant": constants[j]},
             arrays=shared.arrays | {name: array[j] for name, array in arrays.items()},
         )
-        vars(given)["addresses"] = addresses | {name: at + j * step for name, (at, step) in places.items()}
+        vars(given)["record"] = records[j].tobytes()
         found.append(given)
     return found
 
@@ -307,9 +338,14 @@ def without_limits(problem: TransientProblem) -> Stages:
 
 def without_limits_of(problems: Sequence[TransientProblem]) -> list[Stages]:
     """Stage data of the same problems without limits: the input of a linear pass."""
+    whole = stages_of([problem.without(TemperatureLimit.name) for problem in problems])
+    records = records_of([given.record for given in whole])
+    records["rows"] = 0
+    for name, array in NO_LIMITS.items():
+        records[name] = address(array)
     found = []
-    for given in stages_of([problem.without(TemperatureLimit.name) for problem in problems]):
+    for j, given in enumerate(whole):
         bare = replace(given, sizes=given.sizes | {"rows": 0}, arrays=given.arrays | NO_LIMITS)
-        vars(bare)["addresses"] = given.addresses | NO_ADDRESSES
+        vars(bare)["record"] = records[j].tobytes()
         found.append(bare)
     return found

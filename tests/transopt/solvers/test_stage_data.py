@@ -12,7 +12,7 @@ from transopt.problem.problem import TransientProblem
 from transopt.references.references import References
 from transopt.scene.scene import Scene
 from transopt.solvers import stage_data
-from transopt.solvers.stage_data import NO_LIMITS, Stages, stages, stages_of, without_limits_of
+from transopt.solvers.stage_data import NO_LIMITS, Stages, records_of, stages, stages_of, without_limits_of
 
 
 @pytest.fixture
@@ -51,9 +51,14 @@ def test_taps_of_one_grip_differ_in_the_target_alone(problems: list[TransientPro
     assert np.abs(first.arrays["reference"] - of_its_grip.arrays["reference"]).max() > 1e-3
 
 
-def test_addresses_are_those_of_the_arrays(problems: list[TransientProblem]) -> None:
+def test_records_are_those_of_each_alone(problems: list[TransientProblem]) -> None:
     for given in (*stages_of(problems), *without_limits_of(problems)):
-        assert given.addresses == {name: address(array) for name, array in given.arrays.items()}
+        assert given.record == replace(given).record
+        (record,) = records_of([given.record])
+        for name, value in (given.sizes | given.numbers).items():
+            assert record[name] == value
+        for name, array in given.arrays.items():
+            assert record[name] == address(array)
         assert all(array.flags.c_contiguous for array in given.arrays.values())
 
 

@@ -18,28 +18,11 @@ from numpy.typing import NDArray
 from transopt.base.recursions import address
 from transopt.base.signals import FloatArray
 from transopt.solvers.bounds import check_bounds
-from transopt.solvers.stage_data import Stages
+from transopt.solvers.stage_data import Stages, records_of
 
 EXTENSION = "_riccati.pyd" if os.name == "nt" else "_riccati.so"
 MOST_STATES, MOST_MOTORS, MOST_ROWS = 96, 4, 128  # of riccati.c
 INTERFACE = 9  # version as in `tr_interface` of riccati.c; both change with the meaning of arguments or results
-DOUBLES = ct.c_void_p  # address of an array; the caller keeps the array alive
-
-
-# `tr_problem` of riccati.c.
-PROBLEM_FIELDS: list[tuple[str, Any]] = [
-    *[(name, ct.c_int) for name in ("stages", "free_stages", "states", "motors", "outputs", "ends", "rows")],
-    *[(name, ct.c_int) for name in ("nodes", "current", "repeated")],
-    *[(name, DOUBLES) for name in ("A", "C", "E", "weight", "reference", "rule_gain", "rule_offset")],
-    *[(name, DOUBLES) for name in ("end_gain", "end_target")],
-    *[(name, DOUBLES) for name in ("G", "d", "d_size", "lower", "upper")],
-    *[(name, DOUBLES) for name in ("M", "b", "gain", "square", "F", "f")],
-    *[(name, ct.c_double) for name in ("movement_weight", "decay", "ripple", "copper", "command_bound", "constant")],
-]
-
-
-PROBLEM = np.dtype([(name, np.dtype(kind)) for name, kind in PROBLEM_FIELDS], align=True)
-
 
 class _Host(ct.Structure):
     _fields_ = tuple((name, ct.c_void_p) for name in ("release", "acquire", "interrupted"))
@@ -49,7 +32,7 @@ class _Options(ct.Structure):
     _fields_ = (("max_iterations", ct.c_int), ("tolerance", ct.c_double), ("host", ct.POINTER(_Host)))
 
 
-ADDRESS, INTEGER, NUMBER = (np.dtype(kind) for kind in (DOUBLES, ct.c_int, ct.c_double))
+ADDRESS, INTEGER, NUMBER = (np.dtype(kind) for kind in (ct.c_void_p, ct.c_int, ct.c_double))
 # `tr_result` and `tr_proof` of riccati.c.
 RESULT = [
     *[(name, ADDRESS) for name in ("command", "size", "lower", "upper", "gradient", "start")],
@@ -141,18 +124,6 @@ def _workspace(count: int, problems: NDArray[np.void]) -> FloatArray:
     return fresh
 
 
-def _stated(given: Sequence[Stages]) -> NDArray[np.void]:
-    """Problems as an array of the C structure; their stage data keep the arrays alive."""
-    rows = [
-        tuple(
-            (each.addresses if kind is DOUBLES else each.sizes if kind is ct.c_int else each.numbers)[name]
-            for name, kind in PROBLEM_FIELDS
-        )
-        for each in given
-    ]
-    return np.array(rows, dtype=PROBLEM)
-
-
 def _at(arrays: Mapping[str, FloatArray], fields: list[tuple[str, np.dtype[Any]]]) -> NDArray[np.void]:
     """An array of a C structure whose addresses are those of the rows of arrays, by the name of the field."""
     count = len(next(iter(arrays.values())))
@@ -181,7 +152,7 @@ def _answers(method: Any, given: Sequence[Stages], asked: _Options) -> list[Answ
         sides = np.zeros((2, count, (N + 1) * max(rows, 1)))
         start = np.zeros((count, max(nodes, 1)))
         arrays = {"command": command, "size": size, "gradient": gradient, "start": start}
-        problems, results = _stated(some), _at(arrays | {"lower": sides[0], "upper": sides[1]}, RESULT)
+        problems, results = records_of([each.record for each in some]), _at(arrays | {"lower": sides[0], "upper": sides[1]}, RESULT)
         space = _workspace(count, problems)
         method(count, problems.ctypes.data, ct.byref(asked), address(space), results.ctypes.data)
         lower, upper = sides[..., : (N + 1) * rows].reshape(2, count, N + 1, rows)
@@ -266,7 +237,7 @@ def prove(asked: Sequence[Judged]) -> list[Proof]:
     for group in _of_equal_sizes([each.stages for each in asked]):
         some, count = [asked[i] for i in group], len(group)
         excess = np.empty((count, max(some[0].stages.sizes["rows"], 1)))
-        problems, proofs = _stated([each.stages for each in some]), _at({"excess": excess}, PROOF)
+        problems, proofs = records_of([each.stages.record for each in some]), _at({"excess": excess}, PROOF)
         proofs["command"] = [address(each.command) for each in some]
         proofs["by_rule"] = [address(each.by_rule) for each in some]
         sides = [(0, 0) if each.by_row is None else tuple(map(address, each.by_row)) for each in some]
