@@ -148,13 +148,15 @@ def expected(stages: Stages) -> list[list[float]]:
 
 def proved(stages: Stages, answer: extension.Answer, *, bare: bool) -> list[float]:
     """The installed extension's certificate of an answer; with `bare`, without multipliers of the rows."""
-    N, rule = stages.sizes["stages"], -np.ascontiguousarray(answer.gradient.T[stages.sizes["free_stages"] :])
+    N, rule = stages.sizes["stages"], -np.atleast_2d(answer.gradient).T[stages.sizes["free_stages"] :]
     own = np.ascontiguousarray([stages.arrays[name].reshape(N + 1, -1)[:N] for name in ("lower", "upper")])
     stages = replace(stages, limits=replace(stages.limits, asked=own)) if stages.sizes["rows"] else stages
-    by_row = None if bare else (answer.lower[:N].copy(), answer.upper[:N].copy())
-    (p,) = extension.prove([extension.Judged(stages, np.ascontiguousarray(answer.command.T), by_row, rule)])
-    most = max(float(p.excess.max(initial=0.0)), 0.0)
-    return [0, 0, p.objective, p.slack + p.residual + p.by_command + p.by_movement + most]
+    by_row = None if bare else np.stack([answer.lower[:N], answer.upper[:N]])
+    excess, objective, *rest = extension.prove([stages], np.atleast_2d(answer.command).T[None], [by_row], rule[None])
+    most = max(float(excess.max(initial=0.0)), 0.0)
+    left = {name: float(of[0]) for name, of in zip(extension.Proofs._fields[2:], rest, strict=True)}
+    of_gap = sum(left[name] for name in ("slack", "residual", "by_command", "by_movement"))
+    return [0, 0, float(objective[0]), of_gap + most]
 
 
 def sanitized_or_traced(

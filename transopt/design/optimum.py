@@ -1,7 +1,8 @@
 """The optimum of one entry, found by solving the smallest problem that has the same optimum."""
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -16,11 +17,11 @@ from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.problem.wall_ticks import encoder_course, pressing, pressing_under, silence
 from transopt.proof.admit import stated_wall, unstable_wall
-from transopt.proof.certify import certify, gradient_rounding
+from transopt.proof.certify import certify, gradient_rounding, under_further_limits
 from transopt.proof.designed import Designed
 from transopt.proof.effect import Effect, effects, inside
 from transopt.solvers import unlimited
-from transopt.solvers.choose import prove, prove_all, solve, solve_certified
+from transopt.solvers.choose import Certified, prove, prove_all, solve, solve_certified
 from transopt.solvers.options import SolverOptions
 from transopt.solvers.prove import certificates, certified
 from transopt.solvers.side_by_side import Ask, Search, alone
@@ -219,10 +220,10 @@ def _hand_over_excess(problem: TransientProblem) -> str:
 
 def _solved(problem: TransientProblem, options: SolverOptions) -> Search[Designed]:
     """Solve with the wall's ticks fixed, refining the instants at which limits on outputs are stated as needed."""
-    designed = yield from _at_its_instants(problem, options)
+    designed = yield Ask(at_their_instants, problem, (options,))
     spent = designed.solution.solve_time_s
     while not options.brief and (parts := finer(designed)):
-        again = yield from _at_its_instants(designed.problem.within(parts), options)
+        again = yield Ask(at_their_instants, designed.problem.within(parts), (options,))
         spent += again.solution.solve_time_s
         if not again.is_proven:
             # Infeasibility is judged at the finer instants, whose margin is smaller.
@@ -235,76 +236,176 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Search[Designe
     return replace(designed, solution=replace(designed.solution, solve_time_s=spent), left_out=left_out)
 
 
-def _at_its_instants(problem: TransientProblem, options: SolverOptions) -> Search[Designed]:
-    """Solve with the wall's ticks and the instants of all limits fixed."""
-    reduced = leave_out(problem)
-    small, left_out = reduced.problem, dict(reduced.left_out)
-    free = yield Ask(unlimited.solve, small)
-    effect = yield Ask(effects, (problem, free.command))
-    # Without a solved unlimited optimum the floor is unknown.
-    floor = problem.tap_error(effect.motion.acceleration_m_s2) if free.status is Status.OPTIMAL else np.nan
-    peak = float(np.abs(effect.motion.plant_input).max())
+@dataclass(frozen=True)
+class _Attempt:
+    """One problem with its optimum without limits.
+
+    Attributes
+    ----------
+    problem : the problem with all limits. small : without those that cannot bind. left_out : part -> why it has not.
+    free : that optimum, and its effect in `problem`; its certificate there, or None where it leaves a limit.
+    floor, peak : its tap error and its largest plant input.
+    """
+
+    problem: TransientProblem
+    small: TransientProblem
+    left_out: dict[str, str]
+    free: Solution
+    effect: Effect
+    proof: Certificate | None
+    floor: float
+    peak: float
+
+    @property
+    def inside(self) -> str:
+        """Why no limit is needed, in words; empty where one is."""
+        problem, proof = self.problem, self.proof
+        if proof is None or not (self.free.status is Status.OPTIMAL and proof.is_stationary):
+            return ""
+        unit = problem.driven_by.unit
+        return (
+            f"the unlimited optimum is inside all limits: {problem.driven_by.name} {self.peak:.3g} {unit} of "
+            f"{problem.limits.input_limit:g} {unit}, "
+            f"command {np.abs(self.free.command).max():.3g} {unit} of {problem.command_bound:g} {unit}"
+        )
+
+    def best(self, limited: Certified) -> Certified:
+        """The answer under limits, or the one without where neither is proven and its gap is no larger."""
+        proof = limited.proof
+        least_gap = proof.relative_gap if proof.excess <= 1 else np.inf
+        if self.proof is None or limited.is_proven or self.proof.relative_gap > least_gap:
+            return limited
+        return Certified(self.free, self.proof, self.effect)
 
     def designed(
-        answer: Solution,
+        self,
+        found: Certified,
         solved: TransientProblem | None,
-        remarks: list[str],
-        effect: Effect,
-        proof: Certificate | None = None,
-    ) -> Search[Designed]:
-        if proof is None:
-            proof = yield Ask(prove_all, (effect, answer.multipliers), (options,))
-        return Designed(problem, answer, proof, effect, free.command, floor, peak, left_out, solved, remarks)
+        remarks: Sequence[str] = (),
+        without: Mapping[str, str] = MappingProxyType({}),
+    ) -> Designed:
+        """The answer; `without` has what else was left out."""
+        answer, proof, effect = found
+        left_out, remarks = self.left_out | without, list(remarks)
+        numbers = self.free.command, self.floor, self.peak
+        return Designed(self.problem, answer, proof, effect, *numbers, left_out, solved, remarks)
 
-    free_proof = None
-    if peak <= problem.limits.input_limit + tolerated(problem.limits.input_limit):
-        judged = yield Ask(certificates, (effect, free.multipliers))
-        free_proof = judged if judged.excess <= KEPT else None
-    if free_proof is not None and not free_proof.is_stationary:
-        # The compiled pass may lose digits in ill-conditioned problems; the other method may leave a smaller gap.
-        other = unlimited.solve_apart(small)
-        its_effect = Effect(problem, other.command)
-        its_proof = certified(problem, other.command, other.multipliers, effect=its_effect)
-        if its_proof.excess <= KEPT and its_proof.relative_gap < free_proof.relative_gap:
-            free, free_proof, effect = other, its_proof, its_effect
-    if free_proof is not None and free.status is Status.OPTIMAL and free_proof.is_stationary:
-        unit = problem.driven_by.unit
-        left_out["limits"] = (
-            f"the unlimited optimum is inside all limits: {problem.driven_by.name} {peak:.3g} {unit} of "
-            f"{problem.limits.input_limit:g} {unit}, "
-            f"command {np.abs(free.command).max():.3g} {unit} of {problem.command_bound:g} {unit}"
+
+def _without_limits(problems: Sequence[TransientProblem]) -> list[_Attempt]:
+    """The optima without limits, certified where they keep all limits."""
+    reduced = [leave_out(problem) for problem in problems]
+    free = unlimited.solve([each.problem for each in reduced])
+    done = effects([(problem, answer.command) for problem, answer in zip(problems, free, strict=True)])
+    peaks = [float(np.abs(effect.motion.plant_input).max()) for effect in done]
+    limits = [problem.limits.input_limit for problem in problems]
+    low = [i for i, (peak, limit) in enumerate(zip(peaks, limits, strict=True)) if peak <= limit + tolerated(limit)]
+    proofs = dict(zip(low, certificates([(done[i], free[i].multipliers) for i in low]), strict=True))
+    found = []
+    for i, (problem, each) in enumerate(zip(problems, reduced, strict=True)):
+        answer, effect, proof = free[i], done[i], proofs.get(i)
+        # Without a solved unlimited optimum the floor is unknown.
+        known = answer.status is Status.OPTIMAL
+        floor = problem.tap_error(effect.motion.acceleration_m_s2) if known else np.nan
+        if proof is not None and not proof.excess <= KEPT:
+            proof = None
+        if proof is not None and not proof.is_stationary:
+            # The compiled pass may lose digits in ill-conditioned problems; the other method may leave a smaller gap.
+            other = unlimited.solve_apart(each.problem)
+            its_effect = Effect(problem, other.command)
+            its_proof = certified(problem, other.command, other.multipliers, effect=its_effect)
+            if its_proof.excess <= KEPT and its_proof.relative_gap < proof.relative_gap:
+                answer, proof, effect = other, its_proof, its_effect
+        found.append(_Attempt(problem, each.problem, each.left_out, answer, effect, proof, floor, peaks[i]))
+    return found
+
+
+def at_their_instants(problems: Sequence[TransientProblem], options: SolverOptions) -> list[Designed]:
+    """Solve problems with the wall's ticks and the instants of all limits fixed, those of equal sizes side by side."""
+    attempts, found = _without_limits(problems), dict[int, Designed]()
+    limited = list[int]()
+    for i, each in enumerate(attempts):
+        if each.inside:
+            assert each.proof is not None
+            own = Certified(each.free, each.proof, each.effect)
+            found[i] = each.designed(own, None, without={"limits": each.inside})
+        elif hopeless := unavoidable(each.small):
+            answer = replace(each.free, status=Status.INFEASIBLE)
+            found[i] = each.designed(_proven(each, answer, each.effect, options), None, hopeless)
+        else:
+            limited.append(i)
+    found |= zip(limited, _under_limits([attempts[i] for i in limited], options), strict=True)
+    return [found[i] for i in range(len(problems))]
+
+
+def _proven(attempt: _Attempt, answer: Solution, effect: Effect, options: SolverOptions) -> Certified:
+    """An answer with its certificate in the problem with all limits."""
+    (proof,) = prove_all([(effect, answer.multipliers)], options)
+    return Certified(answer, proof, effect)
+
+
+def _under_limits(attempts: Sequence[_Attempt], options: SolverOptions) -> list[Designed]:
+    """Answers where limits bind: without the temperature or, where that would be exceeded, with it."""
+    cold = [each.small.without(TemperatureLimit.name) for each in attempts]
+    first = solve_certified(cold, options)
+    cool = {i: said for i, each in enumerate(attempts) if (said := _cool(each, first[i]))}
+    # A problem that is infeasible without the temperature limit is infeasible with it.
+    hot = [
+        i
+        for i, each in enumerate(attempts)
+        if each.small.thermal is not None and i not in cool and first[i].solution.status is not Status.INFEASIBLE
+    ]
+    last = dict(enumerate(first))
+    last |= zip(hot, solve_certified([attempts[i].small for i in hot], options), strict=True)
+    solved = [cold[i] if i in cool else each.small for i, each in enumerate(attempts)]
+    best = [last[i] if i in cool else each.best(last[i]) for i, each in enumerate(attempts)]
+    found = _in_whole_problems([each.problem for each in attempts], solved, best, options)
+    designed = []
+    for i, (each, (answer, proof, effect)) in enumerate(zip(attempts, found, strict=True)):
+        spent = [each.free, first[i].solution, *([last[i].solution] if i in hot else [])]
+        answer = replace(answer, solve_time_s=sum(of.solve_time_s for of in spent))
+        # Not a hand-over problem: an unstable wall has a status of its own, and if the problem without the
+        # temperature limit has an optimum, the temperature is to blame.
+        proven = first[i].is_proven or last[i].is_proven
+        too_deep = "" if proven or unstable_wall(each.problem) else _hand_over_excess(each.small)
+        if too_deep:
+            answer = replace(answer, status=Status.HAND_OVER)
+        without = {"temperature": cool[i]} if i in cool else {}
+        designed.append(
+            each.designed(Certified(answer, proof, effect), solved[i], [too_deep] if too_deep else [], without)
         )
-        return (yield from designed(free, None, [], effect, free_proof))
-    hopeless = unavoidable(small)
-    if hopeless:
-        return (yield from designed(replace(free, status=Status.INFEASIBLE), None, hopeless, effect))
-    spent, cold = free.solve_time_s, small.without(TemperatureLimit.name)
-    answer, proof, its_effect = yield Ask(solve_certified, cold, (options,))
-    spent += answer.solve_time_s
-    cold_proven = answer.status is Status.OPTIMAL and proof.is_stationary
-    if small.thermal is not None:
-        whole = its_effect.of(problem)
-        if answer.status is Status.OPTIMAL and inside(
-            problem, answer.command, only=TemperatureLimit.name, effect=whole
-        ):
-            hottest = float(small.thermal.temperatures_C(whole.motion.plant_input, answer.command).max())
-            left_out["temperature"] = (
-                f"the optimum without it stays inside: {hottest:.3f} C, limit {small.thermal.limit_C:g} C"
-            )
-            answer = replace(answer, solve_time_s=spent)
-            return (yield from designed(answer, cold, [], whole))
-        # A problem that is infeasible without the temperature limit is infeasible with it.
-        if answer.status is not Status.INFEASIBLE:
-            answer, proof, its_effect = yield Ask(solve_certified, small, (options,))
-            spent += answer.solve_time_s
-    proven = answer.status is Status.OPTIMAL and proof.is_stationary
-    least_gap = proof.relative_gap if proof.excess <= 1 else np.inf
-    if free_proof is not None and not proven and free_proof.relative_gap <= least_gap:
-        answer, proof, its_effect = free, free_proof, effect
-    answer, whole = replace(answer, solve_time_s=spent), its_effect.of(problem)
-    # Not a hand-over problem: an unstable wall has a status of its own, and if the problem without the temperature
-    # limit has an optimum, the temperature is to blame.
-    too_deep = "" if proven or cold_proven or unstable_wall(problem) else _hand_over_excess(small)
-    if too_deep:
-        return (yield from designed(replace(answer, status=Status.HAND_OVER), small, [too_deep], whole))
-    return (yield from designed(answer, small, [], whole))
+    return designed
+
+
+def _cool(attempt: _Attempt, cold: Certified) -> str:
+    """Why an answer needs no temperature limit, in words; empty where it does, or where there is none."""
+    problem, thermal = attempt.problem, attempt.small.thermal
+    if thermal is None or cold.solution.status is not Status.OPTIMAL:
+        return ""
+    whole = cold.effect.of(problem)
+    if not inside(problem, cold.solution.command, only=TemperatureLimit.name, effect=whole):
+        return ""
+    hottest = float(whole.winding_C.max())
+    return f"the optimum without it stays inside: {hottest:.3f} C, limit {thermal.limit_C:g} C"
+
+
+def _in_whole_problems(
+    problems: Sequence[TransientProblem],
+    solved: Sequence[TransientProblem],
+    found: Sequence[Certified],
+    options: SolverOptions,
+) -> list[Certified]:
+    """Answers to problems `solved`, certified in the same problems with all limits."""
+    whole = [each.effect.of(problem) for each, problem in zip(found, problems, strict=True)]
+    proofs = {
+        i: under_further_limits(each.proof, whole[i], small)
+        for i, (each, small, problem) in enumerate(zip(found, solved, problems, strict=True))
+        if each.proof.is_stationary and np.isfinite(each.proof.lower_bound) and _differ_in_limits(small, problem)
+    }
+    rest = [i for i in range(len(problems)) if i not in proofs]
+    proofs |= zip(rest, prove_all([(whole[i], found[i].solution.multipliers) for i in rest], options), strict=True)
+    return [Certified(each.solution, proofs[i], whole[i]) for i, each in enumerate(found)]
+
+
+def _differ_in_limits(one: TransientProblem, other: TransientProblem) -> bool:
+    """Whether nothing but limits that bound no command distinguishes two problems."""
+    return one.wall is other.wall and one.stage is other.stage and one.command_bound == other.command_bound

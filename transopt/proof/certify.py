@@ -206,6 +206,28 @@ def certify(
     )
 
 
+def under_further_limits(proof: Certificate, effect: Effect, known: TransientProblem) -> Certificate:
+    """The certificate of a command under further limits, whose multipliers are zero.
+
+    Parameters
+    ----------
+    proof : its certificate in the problem `known`.
+    effect : its effect in the same problem with the further limits.
+    """
+    problem, rows = effect.problem, {row.name for _, row in known.rows()}
+    outside = list[tuple[Limit, float]]()
+    for limit, row in problem.rows():
+        if row.name not in rows:
+            value, (lower, upper) = effect.value(row), row.bounds(problem.grid.stages)
+            outside.append((limit, float(np.maximum(value - upper, lower - value).max())))
+    if problem.thermal is not None and known.thermal is None:
+        outside.append((problem.thermal, float((effect.winding_C - problem.thermal.bounds_C).max())))
+    violations, excess = left_over(problem, outside, 0.0)
+    for unit, by in proof.violations.items():
+        violations[unit] = max(violations.get(unit, 0.0), by)
+    return replace(proof, violations=violations, excess=max(excess, proof.excess))
+
+
 def is_stated(problem: TransientProblem, command: FloatArray, multipliers: Multipliers) -> bool:
     """Whether command and multipliers have the problem's shapes and are finite."""
     N, arrays = problem.grid.stages, [command, *multipliers.arrays()]

@@ -195,6 +195,11 @@ class Certified(NamedTuple):
     proof: Certificate
     effect: Effect
 
+    @property
+    def is_proven(self) -> bool:
+        """Whether it is a certified stationary point."""
+        return self.solution.status is Status.OPTIMAL and self.proof.is_stationary
+
 
 def _tried(problems: Sequence[TransientProblem], options: SolverOptions) -> list[Certified]:
     """Answers and certificates by the wanted solver or, where it cannot take a problem, by the first choice."""

@@ -6,7 +6,6 @@ The results equal those of `proof.certify`, but are computed from the stage data
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import compress
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify, is_stated, left_over
 from transopt.proof.effect import TEMPERATURE, Effect
-from transopt.solvers.native.extension import Judged, Proof, available, prove, takes
+from transopt.solvers.native.extension import available, of_equal_sizes, prove, takes
 from transopt.solvers.stage_data import Stages, stages_of
 
 
@@ -38,12 +37,11 @@ def certificates(answers: Sequence[tuple[Effect, Multipliers]]) -> list[Certific
     known = [i for i, mean in enumerate(means) if _is_known(*mean)]
     problems = [means[i][0].problem for i in known]
     given = stages_of([problem.without(TemperatureLimit.name) for problem in problems])
-    fit = [takes(*(each.sizes[name] for name in ("states", "motors", "rows"))) for each in given]
-    asked = [_asked(*means[i], each) for i, each, fits in zip(known, given, fit, strict=True) if fits]
     proofs: dict[int, Certificate | None] = {}
-    if asked:  # empty without the extension
-        for i, judged, proof in zip(compress(known, fit), asked, prove(asked), strict=True):
-            proofs[i] = _certificate(*means[i], judged.stages, proof)
+    for group in of_equal_sizes(given):
+        if takes(*(given[group[0]].sizes[name] for name in ("states", "motors", "rows"))):
+            some = [known[j] for j in group]
+            proofs |= zip(some, _side_by_side([means[i] for i in some], [given[j] for j in group]), strict=True)
     found = []
     for i, (effect, multipliers) in enumerate(answers):
         own = proofs.get(i)
@@ -82,21 +80,46 @@ def _is_known(effect: Effect, multipliers: Multipliers) -> bool:
     return is_stated(problem, command, multipliers)
 
 
-def _asked(effect: Effect, multipliers: Multipliers, given: Stages) -> Judged:
-    """Arguments of the compiled call."""
-    problem, N, by_row = effect.problem, given.sizes["stages"], None
-    pairs = [pair for name, pair in multipliers.pairs.items() if name != TEMPERATURE]
-    if any(side.any() for pair in pairs for side in pair):
-        sides, by = np.zeros((2, N, given.sizes["rows"])), _units(problem, given) / OBJECTIVE_SCALE
-        for j, (_, row) in enumerate(problem.rows()):
-            if row.name in multipliers.pairs:
-                sides[..., j] = multipliers.pairs[row.name]
-        lower, upper = np.maximum(sides, 0.0) * by
-        by_row = lower, upper
+def _side_by_side(
+    answers: Sequence[tuple[Effect, Multipliers]], given: Sequence[Stages]
+) -> list[Certificate | None]:
+    """Certificates from stage data of equal sizes; None where a number is not finite."""
+    scale = np.array([each.input_scale for each in given])[:, None, None]
+    units = np.stack([_units(effect.problem, each) for (effect, _), each in zip(answers, given, strict=True)])
     # Stage by stage, with the numbers of several motors side by side.
-    command = np.ascontiguousarray(effect.command.T / given.input_scale)
-    by_rule = np.ascontiguousarray(multipliers.hand_over.T * (given.input_scale / OBJECTIVE_SCALE))
-    return Judged(given, command, by_row, by_rule)
+    commands = np.stack([np.atleast_2d(effect.command).T for effect, _ in answers]) / scale
+    by_rule = np.stack([np.atleast_2d(m.hand_over).T for _, m in answers]) * (scale / OBJECTIVE_SCALE)
+    by_row = [
+        _by_row(effect.problem, multipliers, unit / OBJECTIVE_SCALE)
+        for (effect, multipliers), unit in zip(answers, units, strict=True)
+    ]
+    found = prove(given, commands, by_row, by_rule)
+    excess, unit = found.excess * units, scale[:, 0, 0]
+    finite = np.isfinite(np.column_stack([excess, *found[1:6]])).all(axis=1)
+    numbers = zip(
+        found.objective * OBJECTIVE_SCALE,
+        found.residual * unit,
+        found.dual_residual * OBJECTIVE_SCALE / unit,
+        (found.by_command + found.slack) * OBJECTIVE_SCALE,
+        (found.by_movement + found.slack) * OBJECTIVE_SCALE,
+        strict=True,
+    )
+    return [
+        _certificate(effect, off.tolist(), *map(float, of)) if known else None
+        for (effect, _), off, known, of in zip(answers, excess, finite, numbers, strict=True)
+    ]
+
+
+def _by_row(problem: TransientProblem, multipliers: Multipliers, by: FloatArray) -> FloatArray | None:
+    """(2, N, rows) multipliers of lower and upper bounds in units `by` (rows,), contiguous; None if all are zero."""
+    pairs = [pair for name, pair in multipliers.pairs.items() if name != TEMPERATURE]
+    if not any(side.any() for pair in pairs for side in pair):
+        return None
+    sides = np.zeros((2, by.size, problem.grid.stages))
+    for j, (_, row) in enumerate(problem.rows()):
+        if row.name in multipliers.pairs:
+            sides[:, j] = multipliers.pairs[row.name]
+    return np.ascontiguousarray(np.swapaxes(np.maximum(sides, 0.0) * by[:, None], 1, 2))
 
 
 def _units(problem: TransientProblem, given: Stages) -> FloatArray:
@@ -104,28 +127,26 @@ def _units(problem: TransientProblem, given: Stages) -> FloatArray:
     return np.asarray(given.limits.unit * [limit.stated for limit, _ in problem.rows()])
 
 
-def _certificate(effect: Effect, multipliers: Multipliers, given: Stages, found: Proof) -> Certificate | None:
-    """The certificate from the compiled call's result; None where a number is not finite."""
-    problem, unit, thermal = effect.problem, given.input_scale, effect.problem.thermal
-    excess = (found.excess * _units(problem, given)).tolist()
+def _certificate(
+    effect: Effect, excess: list[float], merit: float, residual: float, dual: float, gap: float, by_movement: float
+) -> Certificate | None:
+    """The certificate from excesses of all rows and numbers in SI; None where the temperature is not finite."""
+    problem, thermal = effect.problem, effect.problem.thermal
     outside = [(limit, off) for (limit, _), off in zip(problem.rows(), excess, strict=True)]
     if thermal is not None:
+        if not np.isfinite(effect.winding_C.max()):
+            return None
         outside.append((thermal, float((effect.winding_C - thermal.bounds_C).max())))
-        excess.append(float(effect.winding_C.max()))
-    if not np.isfinite([*found[1:6], *excess]).all():
-        return None
-    merit = found.objective * OBJECTIVE_SCALE
     reward = problem.tracking.reward(effect.accelerations_m_s2) if problem.intensity > 0 else 0.0
-    violations, relative = left_over(problem, outside, found.residual * unit)
-    gap = (found.by_command + found.slack) * OBJECTIVE_SCALE
+    violations, relative = left_over(problem, outside, residual)
     if gap > Certificate.GAP_TOLERANCE * max(merit + reward, OBJECTIVE_SCALE) and problem.movement.weight > 0:
-        gap = float(np.fmin(gap, (found.by_movement + found.slack) * OBJECTIVE_SCALE))
+        gap = float(np.fmin(gap, by_movement))
     return Certificate(
         objective=merit + reward,
         merit=merit,
         violations=violations,
         excess=relative,
-        dual_residual=found.dual_residual * OBJECTIVE_SCALE / unit,
+        dual_residual=dual,
         duality_gap=gap,
         lower_bound=merit - gap,
         finite=True,

@@ -133,7 +133,7 @@ def _at(arrays: Mapping[str, FloatArray], fields: list[tuple[str, np.dtype[Any]]
     return found
 
 
-def _of_equal_sizes(given: Sequence[Stages]) -> Iterator[list[int]]:
+def of_equal_sizes(given: Sequence[Stages]) -> Iterator[list[int]]:
     """Groups of indices of problems with equal sizes, which can be solved side by side."""
     groups: dict[tuple[int, ...], list[int]] = {}
     for i, stages in enumerate(given):
@@ -144,7 +144,7 @@ def _of_equal_sizes(given: Sequence[Stages]) -> Iterator[list[int]]:
 def _answers(method: Any, given: Sequence[Stages], asked: _Options) -> list[Answer]:
     """Answers of `tr_solve` or `tr_linear` to problems of any sizes, in their order."""
     found: dict[int, Answer] = {}
-    for group in _of_equal_sizes(given):
+    for group in of_equal_sizes(given):
         some, count = [given[i] for i in group], len(group)
         N, motors, rows, nodes = (some[0].sizes[name] for name in ("stages", "motors", "rows", "nodes"))
         (command, gradient), size = np.zeros((2, count, N, motors)), np.zeros((count, N))
@@ -194,60 +194,47 @@ def linear_passes(given: Sequence[Stages], tolerance: float) -> list[Answer]:
     return _answers(_LIBRARY.tr_linear, given, _Options(0, tolerance, _HOST))
 
 
-class Proof(NamedTuple):
-    """Numbers of a certificate, from a command and multipliers (`tr_proof` of riccati.c), in scaled units.
+class Proofs(NamedTuple):
+    """Numbers of the certificates of P commands with multipliers (`tr_proof` of riccati.c), in scaled units.
 
     Attributes
     ----------
-    excess : (rows,) largest violation of each row, negative inside.
+    excess : (P, rows) largest violation of each row, negative inside. All others are (P,).
     slack : sum of multipliers times absolute slacks, the hand-over's included. residual : of the hand-over.
     dual_residual : largest absolute value of the Lagrangian's gradient g by the commands.
     by_command : sum |g_k| (c_max + |c_k|). by_movement : `certify.movement_bound` of g.
     """
 
     excess: FloatArray
-    objective: float
-    slack: float
-    residual: float
-    dual_residual: float
-    by_command: float
-    by_movement: float
+    objective: FloatArray
+    slack: FloatArray
+    residual: FloatArray
+    dual_residual: FloatArray
+    by_command: FloatArray
+    by_movement: FloatArray
 
 
-class Judged(NamedTuple):
-    """Input of `prove`: a command of a problem without temperature, with multipliers, in scaled units.
+def prove(
+    given: Sequence[Stages], commands: FloatArray, by_row: Sequence[FloatArray | None], by_rule: FloatArray
+) -> Proofs:
+    """Compute the certificates' numbers of commands of P problems of equal sizes, without temperature, side by side.
 
-    Attributes
+    Parameters
     ----------
-    command : (N,), or (N, m) with m motors, contiguous.
-    by_row : (N, rows) multipliers >= 0 of lower and of upper bounds, contiguous; None if all are zero.
-    by_rule : (h,) or (h, m) multipliers of the hand-over, contiguous.
+    commands : (P, N, m), scaled.
+    by_row : (2, N, rows) multipliers >= 0 of lower and of upper bounds, contiguous; None if all are zero.
+    by_rule : (P, h, m) multipliers of the hand-over.
     """
-
-    stages: Stages
-    command: FloatArray
-    by_row: tuple[FloatArray, FloatArray] | None
-    by_rule: FloatArray
-
-
-def prove(asked: Sequence[Judged]) -> list[Proof]:
-    """Compute the certificates' numbers of commands; problems of equal sizes side by side."""
     assert _LIBRARY is not None
-    found: dict[int, Proof] = {}
-    for group in _of_equal_sizes([each.stages for each in asked]):
-        some, count = [asked[i] for i in group], len(group)
-        excess = np.empty((count, max(some[0].stages.sizes["rows"], 1)))
-        problems, proofs = records_of([each.stages.record for each in some]), _at({"excess": excess}, PROOF)
-        proofs["command"] = [address(each.command) for each in some]
-        proofs["by_rule"] = [address(each.by_rule) for each in some]
-        sides = [(0, 0) if each.by_row is None else tuple(map(address, each.by_row)) for each in some]
-        proofs["by_lower"], proofs["by_upper"] = np.transpose(sides)
-        asked_of = [each.stages.limits.asked for each in some]
-        proofs["lower"] = firsts = np.array([address(each) for each in asked_of], dtype=np.uintp)
-        proofs["upper"] = firsts + np.array([each.strides[0] for each in asked_of], dtype=np.uintp)
-        space = _workspace(count, problems)
-        _LIBRARY.tr_prove(count, problems.ctypes.data, address(space), proofs.ctypes.data)
-        told = zip(*(proofs[name].tolist() for name in Proof._fields[1:]), strict=True)
-        for i, row, each, numbers in zip(group, excess, some, told, strict=True):
-            found[i] = Proof(row[: each.stages.sizes["rows"]], *numbers)
-    return [found[i] for i in range(len(asked))]
+    count, rows = len(given), given[0].sizes["rows"]
+    excess = np.empty((count, max(rows, 1)))
+    given_arrays = {"command": commands, "by_rule": by_rule}
+    held = {name: np.ascontiguousarray(array) for name, array in given_arrays.items()}
+    problems, proofs = records_of([each.record for each in given]), _at(held | {"excess": excess}, PROOF)
+    proofs["by_lower"] = [0 if sides is None else address(sides) for sides in by_row]
+    proofs["by_upper"] = [0 if sides is None else address(sides) + sides.strides[0] for sides in by_row]
+    bounds = [each.limits.asked for each in given]
+    proofs["lower"] = [address(each) for each in bounds]
+    proofs["upper"] = [address(each) + each.strides[0] for each in bounds]
+    _LIBRARY.tr_prove(count, problems.ctypes.data, address(_workspace(count, problems)), proofs.ctypes.data)
+    return Proofs(excess[:, :rows], *(proofs[name] for name in Proofs._fields[1:]))
