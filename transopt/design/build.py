@@ -29,7 +29,6 @@ from transopt.library.multipliers import ARRAYS, further_arrays, multiplier_arra
 from transopt.library.posed import PLANT
 from transopt.plant.state_space import POSITION, VELOCITY
 from transopt.problem.objective.target import along_normal
-from transopt.proof.effect import effects
 from transopt.recordings.recording import Recording
 from transopt.references.reference import COURSES, Reference
 from transopt.references.references import References
@@ -218,6 +217,7 @@ def build_library(
         context = context.varied(scene)
     rows, devices = scene.axes.rows, scene.axes.devices
     columns: list[list[Entry]] = []
+    table = _Table(len(rows), len(devices))
     some = max(SOLVED_TOGETHER // len(rows), 1)
     for first in range(0, len(devices), some):
         posed = [
@@ -227,9 +227,10 @@ def build_library(
         ]
         designed = design(posed, options=options)
         for column in (designed[i : i + len(rows)] for i in range(0, len(designed), len(rows))):
+            table.add(column)
             for entry in column:
                 entry.let_go()
-            # `let_go` has replayed and judged the entries, so that progress counts finished ones.
+            # The table has replayed and judged the entries, so that progress counts finished ones.
             progress(len(column))
             columns.append(column)
     entries = [[column[i] for column in columns] for i in range(len(rows))]
@@ -241,7 +242,7 @@ def build_library(
         scene=scene,
         references=context.references,
         entries=entries,
-        library=assemble(context, entries, options, refinement, cool) if admitted else None,
+        library=_assembled(context, table, entries, options, refinement, cool) if admitted else None,
         solver=options.solver,
         elapsed_s=time.perf_counter() - start,
         refinement=refinement,
@@ -264,12 +265,13 @@ def _cool(context: Context, entries: Sequence[Sequence[Entry]], options: SolverO
     return [list(row) for row in zip(*columns, strict=True)]
 
 
-def assemble(
+def _assembled(
     context: Context,
+    table: "_Table",
     entries: list[list[Entry]],
     options: SolverOptions,
-    refinement: Refinement | None = None,
-    cool: Sequence[Sequence[Entry]] = (),
+    refinement: Refinement | None,
+    cool: Sequence[Sequence[Entry]],
 ) -> Library:
     """Assemble the library of admitted entries, speeds outermost, and of the cool commands where there are any.
 
@@ -310,37 +312,56 @@ def assemble(
         **{name: of_cells(name) for name in CELLS},
         "nominal_position_at_ticks_m": at_ticks[..., : scene.stages],
         "nominal_after_at_ticks_m": at_ticks[..., scene.stages :],
-        **_of_entries(entries, further),
+        **table.arrays(entries, further),
         "correction_m_s2": np.zeros((len(cells), len(plants), *entries[0][0].problem.reference_m_s2.shape)),
         **{f"plant_{name}": np.stack([getattr(plant, name) for plant in plants]) for name in PLANT},
         **{f"spread_{name}": stacked(name) for name in PLANT},
     }
     library = Library.of(arrays, meta)
-    return library.with_cool(_of_entries(cool, further)) if cool else library
+    if not cool:
+        return library
+    of_cool = _Table(len(cool), len(cool[0]))
+    for column in zip(*cool, strict=True):
+        of_cool.add(column)
+    return library.with_cool(of_cool.arrays(cool, further))
 
 
-def _of_entries(entries: Sequence[Sequence[Entry]], further: Sequence[str]) -> dict[str, Any]:
-    """Library arrays that are computed from the entries, multipliers included.
+class _Table:
+    """Library arrays that are computed from the entries, device by device: while their motions are still cached.
 
-    Device by device, whose motions are rolled out side by side and freed again: those of a whole library take more
-    memory than its file.
+    It holds no arrays if an entry is refused, since there is no library then.
+
+    Parameters
+    ----------
+    rows, devices : numbers of speeds, or targets, and of devices.
     """
-    made, found = {name: array.made for name, array in ARRAYS.items() if array.made is not None}, dict[str, Any]()
-    for number, column in enumerate(zip(*entries, strict=True)):
-        held = [entry.designed.effect for entry in column if entry.designed.nonlinear is None]
-        for effect, again in zip(held, effects([(each.problem, each.command) for each in held]), strict=True):
-            effect.lasting = again.lasting
-        for name, value_of in made.items():
-            values = [value_of(entry) for entry in column]
-            if name not in found:
-                shape = len(entries), len(entries[0]), *np.shape(values[0])
-                found[name] = np.empty(shape, dtype=object if ARRAYS[name].is_text else float)
-            found[name][:, number] = values
-        for entry in column:
-            entry.let_go()
-    texts = {name: np.array(array.tolist()) for name, array in found.items() if ARRAYS[name].is_text}
-    multipliers = [[entry.solution.multipliers for entry in row] for row in entries]
-    return found | texts | multiplier_arrays(multipliers, further)
+
+    def __init__(self, rows: int, devices: int) -> None:
+        self._shape, self._number, self._complete = (rows, devices), 0, True
+        self._found = dict[str, Any]()
+
+    def add(self, column: Sequence[Entry]) -> None:
+        """Replay and judge all entries of the next device and, if all are admitted, add their values."""
+        self._complete &= all([entry.admitted for entry in column])
+        if not self._complete:
+            return
+        for name, array in ARRAYS.items():
+            if array.made is None:
+                continue
+            values = [array.made(entry) for entry in column]
+            if name not in self._found:
+                kind = object if array.is_text else float
+                self._found[name] = np.empty((*self._shape, *np.shape(values[0])), dtype=kind)
+            self._found[name][:, self._number] = values
+        self._number += 1
+
+    def arrays(self, entries: Sequence[Sequence[Entry]], further: Sequence[str]) -> dict[str, Any]:
+        """The arrays of all entries, which have been added, by name, and those of their multipliers."""
+        assert self._complete
+        assert self._number == self._shape[1]
+        texts = {name: np.array(array.tolist()) for name, array in self._found.items() if ARRAYS[name].is_text}
+        multipliers = [[entry.solution.multipliers for entry in row] for row in entries]
+        return self._found | texts | multiplier_arrays(multipliers, further)
 
 
 def _meta(

@@ -14,12 +14,12 @@ from transopt.problem.answer import Certificate, Solution, Status
 from transopt.problem.leave_out import leave_out
 from transopt.problem.limits.limit import tolerated
 from transopt.problem.limits.temperature import TemperatureLimit
-from transopt.problem.problem import TransientProblem
+from transopt.problem.problem import TransientProblem, tap_errors
 from transopt.problem.wall_ticks import encoder_course, pressing, pressing_under, silence
 from transopt.proof.admit import stated_wall, unstable_wall
 from transopt.proof.certify import certify, gradient_rounding, under_further_limits
 from transopt.proof.designed import Designed
-from transopt.proof.effect import Effect, effects, inside
+from transopt.proof.effect import Effect, effects, inside, warm_up
 from transopt.solvers import unlimited
 from transopt.solvers.choose import Certified, prove, prove_all, solve, solve_certified
 from transopt.solvers.options import SolverOptions
@@ -297,6 +297,7 @@ def _without_limits(problems: Sequence[TransientProblem]) -> list[_Attempt]:
     free = unlimited.solve([each.problem for each in reduced])
     done = effects([(problem, answer.command) for problem, answer in zip(problems, free, strict=True)])
     peaks = [float(np.abs(effect.motion.plant_input).max()) for effect in done]
+    errors = tap_errors(problems, [effect.motion.acceleration_m_s2 for effect in done])
     limits = [problem.limits.input_limit for problem in problems]
     low = [i for i, (peak, limit) in enumerate(zip(peaks, limits, strict=True)) if peak <= limit + tolerated(limit)]
     proofs = dict(zip(low, certificates([(done[i], free[i].multipliers) for i in low]), strict=True))
@@ -304,8 +305,7 @@ def _without_limits(problems: Sequence[TransientProblem]) -> list[_Attempt]:
     for i, (problem, each) in enumerate(zip(problems, reduced, strict=True)):
         answer, effect, proof = free[i], done[i], proofs.get(i)
         # Without a solved unlimited optimum the floor is unknown.
-        known = answer.status is Status.OPTIMAL
-        floor = problem.tap_error(effect.motion.acceleration_m_s2) if known else np.nan
+        floor = errors[i] if answer.status is Status.OPTIMAL else np.nan
         if proof is not None and not proof.excess <= KEPT:
             proof = None
         if proof is not None and not proof.is_stationary:
@@ -346,7 +346,8 @@ def _proven(attempt: _Attempt, answer: Solution, effect: Effect, options: Solver
 def _under_limits(attempts: Sequence[_Attempt], options: SolverOptions) -> list[Designed]:
     """Answers where limits bind: without the temperature or, where that would be exceeded, with it."""
     cold = [each.small.without(TemperatureLimit.name) for each in attempts]
-    first = solve_certified(cold, options)
+    first = _in_problems([each.problem for each in attempts], solve_certified(cold, options))
+    warm_up([each.effect for each in first if each.solution.status is Status.OPTIMAL])
     cool = {i: said for i, each in enumerate(attempts) if (said := _cool(each, first[i]))}
     # A problem that is infeasible without the temperature limit is infeasible with it.
     hot = [
@@ -355,10 +356,11 @@ def _under_limits(attempts: Sequence[_Attempt], options: SolverOptions) -> list[
         if each.small.thermal is not None and i not in cool and first[i].solution.status is not Status.INFEASIBLE
     ]
     last = dict(enumerate(first))
-    last |= zip(hot, solve_certified([attempts[i].small for i in hot], options), strict=True)
+    again = solve_certified([attempts[i].small for i in hot], options)
+    last |= zip(hot, _in_problems([attempts[i].problem for i in hot], again), strict=True)
     solved = [cold[i] if i in cool else each.small for i, each in enumerate(attempts)]
     best = [last[i] if i in cool else each.best(last[i]) for i, each in enumerate(attempts)]
-    found = _in_whole_problems([each.problem for each in attempts], solved, best, options)
+    found = _with_all_limits(solved, best, options)
     designed = []
     for i, (each, (answer, proof, effect)) in enumerate(zip(attempts, found, strict=True)):
         spent = [each.free, first[i].solution, *([last[i].solution] if i in hot else [])]
@@ -381,29 +383,29 @@ def _cool(attempt: _Attempt, cold: Certified) -> str:
     problem, thermal = attempt.problem, attempt.small.thermal
     if thermal is None or cold.solution.status is not Status.OPTIMAL:
         return ""
-    whole = cold.effect.of(problem)
-    if not inside(problem, cold.solution.command, only=TemperatureLimit.name, effect=whole):
+    if not inside(problem, cold.solution.command, only=TemperatureLimit.name, effect=cold.effect):
         return ""
-    hottest = float(whole.winding_C.max())
+    hottest = float(cold.effect.winding_C.max())
     return f"the optimum without it stays inside: {hottest:.3f} C, limit {thermal.limit_C:g} C"
 
 
-def _in_whole_problems(
-    problems: Sequence[TransientProblem],
-    solved: Sequence[TransientProblem],
-    found: Sequence[Certified],
-    options: SolverOptions,
+def _in_problems(problems: Sequence[TransientProblem], found: Sequence[Certified]) -> list[Certified]:
+    """Answers with the effects of their commands in problems with further limits."""
+    return [each._replace(effect=each.effect.of(problem)) for each, problem in zip(found, problems, strict=True)]
+
+
+def _with_all_limits(
+    solved: Sequence[TransientProblem], found: Sequence[Certified], options: SolverOptions
 ) -> list[Certified]:
-    """Answers to problems `solved`, certified in the same problems with all limits."""
-    whole = [each.effect.of(problem) for each, problem in zip(found, problems, strict=True)]
+    """Answers to problems `solved`, certified in the problems of their effects, which have all limits."""
     proofs = {
-        i: under_further_limits(each.proof, whole[i], small)
-        for i, (each, small, problem) in enumerate(zip(found, solved, problems, strict=True))
-        if each.proof.is_stationary and np.isfinite(each.proof.lower_bound) and _differ_in_limits(small, problem)
+        i: under_further_limits(proof, effect, small)
+        for i, ((_, proof, effect), small) in enumerate(zip(found, solved, strict=True))
+        if proof.is_stationary and np.isfinite(proof.lower_bound) and _differ_in_limits(small, effect.problem)
     }
-    rest = [i for i in range(len(problems)) if i not in proofs]
-    proofs |= zip(rest, prove_all([(whole[i], found[i].solution.multipliers) for i in rest], options), strict=True)
-    return [Certified(each.solution, proofs[i], whole[i]) for i, each in enumerate(found)]
+    rest = [i for i in range(len(found)) if i not in proofs]
+    proofs |= zip(rest, prove_all([(found[i].effect, found[i].solution.multipliers) for i in rest], options), strict=True)
+    return [each._replace(proof=proofs[i]) for i, each in enumerate(found)]
 
 
 def _differ_in_limits(one: TransientProblem, other: TransientProblem) -> bool:

@@ -49,15 +49,16 @@ def multiplier_arrays(
     ----------
     further : names of multiplier arrays that not every library has, see `further_arrays`.
     """
-    found = {}
-    for name in (*MULTIPLIERS, *further):
-        row, side = row_of(name), SIDES.index(name.rsplit("_", 1)[1])
-        array = found[name] = np.zeros((len(of_entries), len(of_entries[0]), of_entries[0][0].stages))
-        for to_speed, of_speed in zip(array, of_entries, strict=True):
-            for to_entry, entry in zip(to_speed, of_speed, strict=True):
-                # Most are zero. Memory of zeros that is never written to is not allocated.
-                if row in entry.pairs and np.count_nonzero(entry.pairs[row][side]):
-                    to_entry[:] = entry.pairs[row][side]
+    shape = len(of_entries), len(of_entries[0]), of_entries[0][0].stages
+    found = {name: np.zeros(shape) for name in (*MULTIPLIERS, *further)}
+    for iv, of_speed in enumerate(of_entries):
+        for ig, entry in enumerate(of_speed):
+            for row, pair in entry.pairs.items():
+                for side, values in zip(SIDES, pair, strict=True):
+                    array = found.get(f"mu_{row}_{side}")
+                    # Most are zero. Memory of zeros that is never written to is not allocated.
+                    if array is not None and values.any():
+                        array[iv, ig] = values
     return found
 
 

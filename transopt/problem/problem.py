@@ -1,6 +1,6 @@
 """The optimal-control problem of one library entry: terms of the objective, limits, hand-over."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
@@ -367,6 +367,20 @@ class TransientProblem:
         # The hand-over makes it zero up to rounding; it is set to exactly zero.
         transient[self.free_stages :] = 0.0
         return transient
+
+
+def tap_errors(problems: Sequence[TransientProblem], accelerations_m_s2: Sequence[FloatArray]) -> list[float]:
+    """Tap errors (`TransientProblem.tap_error`) of y'' in several problems, those of equal sizes side by side."""
+    groups: dict[tuple[object, ...], list[int]] = {}
+    for i, (problem, made) in enumerate(zip(problems, accelerations_m_s2, strict=True)):
+        alike = problem.grid, problem.intention_s, problem.named, problem.target.lost, made.shape
+        groups.setdefault(alike, []).append(i)
+    found = dict[int, float]()
+    for group in groups.values():
+        targets = [problems[i].target for i in group]
+        made = np.stack([accelerations_m_s2[i] for i in group])
+        found |= zip(group, problems[group[0]].yardstick.tap_errors(targets, made).tolist(), strict=True)
+    return [found[i] for i in range(len(problems))]
 
 
 # Fields of a problem, and cached properties that do not depend on its limits.

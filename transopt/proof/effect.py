@@ -183,6 +183,21 @@ def effects(commands: Sequence[tuple[TransientProblem, FloatArray]]) -> list[Eff
     return found
 
 
+def warm_up(some: Sequence[Effect]) -> None:
+    """Compute the heatings of effects side by side; each then has its own cached (`Effect.mean_square_A2`)."""
+    groups: dict[tuple[int, TimeGrid], list[Effect]] = {}
+    for effect in some:
+        if effect.problem.thermal is not None:
+            groups.setdefault((id(effect.problem.thermal.model.heating), effect.problem.grid), []).append(effect)
+    for group in groups.values():
+        thermal = group[0].problem.thermal
+        assert thermal is not None
+        inputs = np.stack([effect.motion.plant_input for effect in group])
+        squares = thermal.model.heating.mean_square(inputs, np.stack([effect.command for effect in group]))
+        for effect, own in zip(group, squares, strict=True):
+            effect.mean_square_A2 = own
+
+
 def boxes(problem: TransientProblem, command: FloatArray, motion: Motion, multipliers: Multipliers) -> list[Box]:
     """All rows of the problem's limits, with their values under a command and its motion."""
     return list(boxes_of(Effect(problem, command, motion), multipliers))

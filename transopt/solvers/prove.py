@@ -14,7 +14,7 @@ from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify, is_stated, left_over
-from transopt.proof.effect import TEMPERATURE, Effect
+from transopt.proof.effect import TEMPERATURE, Effect, warm_up
 from transopt.solvers.native.extension import available, of_equal_sizes, prove, takes
 from transopt.solvers.stage_data import Stages, stages_of
 
@@ -93,6 +93,7 @@ def _side_by_side(
         _by_row(effect.problem, multipliers, unit / OBJECTIVE_SCALE)
         for (effect, multipliers), unit in zip(answers, units, strict=True)
     ]
+    warm_up([effect for effect, _ in answers])
     found = prove(given, commands, by_row, by_rule)
     excess, unit = found.excess * units, scale[:, 0, 0]
     finite = np.isfinite(np.column_stack([excess, *found[1:6]])).all(axis=1)

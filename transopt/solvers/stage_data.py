@@ -129,6 +129,14 @@ class Stages:
         """`tr_problem`; valid as long as these stage data exist, which keep the arrays alive."""
         return _record(self.sizes, self.numbers, self.arrays)
 
+    def of(self, problem: TransientProblem) -> "Stages":
+        """The same stage data as those of another problem with the same parts."""
+        if problem is self.problem:
+            return self
+        found = replace(self, problem=problem)
+        vars(found)["record"] = self.record
+        return found
+
     def command(self, scaled: FloatArray) -> FloatArray:
         """(N,) or (m, N) commands [A] from scaled ones, clipped to the command bound (`held`)."""
         return held(self.problem, scaled * self.input_scale)
@@ -208,10 +216,7 @@ def stages_of(problems: Sequence[TransientProblem]) -> list[Stages]:
     kept.update(found)
     while len(kept) > MOST_KEPT:
         del kept[next(iter(kept))]
-    return [
-        of if of.problem is problem else replace(of, problem=problem)
-        for of, problem in zip([found[key] for key in keys], problems, strict=True)
-    ]
+    return [found[key].of(problem) for key, problem in zip(keys, problems, strict=True)]
 
 
 PARTS = operator.attrgetter(*(field.name for field in fields(TransientProblem) if field.name != "limits"))

@@ -84,17 +84,26 @@ class Yardstick:
         return slice(begins, ends)
 
     def tap_error(self, target: Target, acceleration_m_s2: FloatArray) -> float:
-        """`Figures.tap_error` alone, for y'' (K,) from tau_0 on with K at least the samples of the window.
+        """`tap_errors` of one movement (K,) or (p, K)."""
+        return float(self.tap_errors([target], acceleration_m_s2[None])[0])
 
-        Of a plant with several directions, y'' (p, K), it is that along the normal.
+    def tap_errors(self, targets: Sequence[Target], accelerations_m_s2: FloatArray) -> FloatArray:
+        """(m,) `Figures.tap_error` alone, for y'' (m, K) from tau_0 on with K at least the samples of the window.
+
+        Of a plant with several directions, y'' (m, p, K), they are those along the normal.
+
+        Parameters
+        ----------
+        targets : one per movement, all with the same numbers of samples.
         """
-        target, acceleration_m_s2 = target.normal, normal(acceleration_m_s2)
-        recorded, lost = target.recorded_m_s2, target.before_m_s2.size
-        first = self._intention(lost, recorded.size)
-        made = target.free_m_s2.copy()
-        made[lost : lost + acceleration_m_s2.size] += acceleration_m_s2[: made.size - lost]
-        errors = _over(_size((made - recorded)[None, first]), _size(recorded[None, first]))
-        return float(errors[0])
+        targets = [target.normal for target in targets]
+        along = accelerations_m_s2[:, 0] if accelerations_m_s2.ndim > 2 else accelerations_m_s2
+        first = self._intention(targets[0].lost, targets[0].whole_m_s2.size)
+        recorded = np.stack([target.recorded_m_s2[first] for target in targets])
+        made = np.stack([target.free_m_s2 for target in targets])
+        lost = targets[0].lost
+        made[:, lost : lost + along.shape[1]] += along[:, : made.shape[1] - lost]
+        return _over(_size(made[:, first] - recorded), _size(recorded))
 
     def across(self, target: Target, acceleration_m_s2: FloatArray) -> tuple[float, float]:
         """Error across the normal over the intention, over |r| along it, and the angle by which that turns y'' [rad].
