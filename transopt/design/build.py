@@ -17,6 +17,7 @@ from transopt.base.writing import percent
 from transopt.design.context import Context
 from transopt.design.design import design
 from transopt.design.entry import Entry
+from transopt.design.entry_arrays import EntryArrays
 from transopt.design.nodes import Nodes, Point
 from transopt.design.refine_grid import Errors, OffNode, Refinement
 from transopt.design.scene_entry import with_remedies
@@ -25,7 +26,7 @@ from transopt.library.columns import FIGURES, EntryTable
 from transopt.library.derived import derived, places
 from transopt.library.library import Library
 from transopt.library.meta import SCHEMA, heat_is_in, most_parts, shared_left_out
-from transopt.library.multipliers import ARRAYS, further_arrays, multiplier_arrays
+from transopt.library.multipliers import ARRAYS, further_arrays
 from transopt.library.posed import PLANT
 from transopt.plant.state_space import POSITION, VELOCITY
 from transopt.problem.objective.target import along_normal
@@ -42,7 +43,9 @@ if TYPE_CHECKING:  # nothing is drawn while a library is solved
     from matplotlib.figure import Figure
 
 
-SOLVED_TOGETHER = 64  # entries in one batch, at least those of one grip; more would only take more memory
+SOLVED_TOGETHER = (
+    128  # entries in one batch, at least those of one grip; fewer leave lanes of the compiled method idle
+)
 # Arrays of a reference that a library stores for every cell under the same name.
 CELLS = tuple(name for name in COURSES if name != "nominal_position_at_ticks_m")
 
@@ -217,7 +220,7 @@ def build_library(
         context = context.varied(scene)
     rows, devices = scene.axes.rows, scene.axes.devices
     columns: list[list[Entry]] = []
-    table = _Table(len(rows), len(devices))
+    table = EntryArrays(len(rows), len(devices))
     some = max(SOLVED_TOGETHER // len(rows), 1)
     for first in range(0, len(devices), some):
         posed = [
@@ -267,7 +270,7 @@ def _cool(context: Context, entries: Sequence[Sequence[Entry]], options: SolverO
 
 def _assembled(
     context: Context,
-    table: "_Table",
+    table: EntryArrays,
     entries: list[list[Entry]],
     options: SolverOptions,
     refinement: Refinement | None,
@@ -320,48 +323,10 @@ def _assembled(
     library = Library.of(arrays, meta)
     if not cool:
         return library
-    of_cool = _Table(len(cool), len(cool[0]))
+    of_cool = EntryArrays(len(cool), len(cool[0]))
     for column in zip(*cool, strict=True):
         of_cool.add(column)
     return library.with_cool(of_cool.arrays(cool, further))
-
-
-class _Table:
-    """Library arrays that are computed from the entries, device by device: while their motions are still cached.
-
-    It holds no arrays if an entry is refused, since there is no library then.
-
-    Parameters
-    ----------
-    rows, devices : numbers of speeds, or targets, and of devices.
-    """
-
-    def __init__(self, rows: int, devices: int) -> None:
-        self._shape, self._number, self._complete = (rows, devices), 0, True
-        self._found = dict[str, Any]()
-
-    def add(self, column: Sequence[Entry]) -> None:
-        """Replay and judge all entries of the next device and, if all are admitted, add their values."""
-        self._complete &= all([entry.admitted for entry in column])
-        if not self._complete:
-            return
-        for name, array in ARRAYS.items():
-            if array.made is None:
-                continue
-            values = [array.made(entry) for entry in column]
-            if name not in self._found:
-                kind = object if array.is_text else float
-                self._found[name] = np.empty((*self._shape, *np.shape(values[0])), dtype=kind)
-            self._found[name][:, self._number] = values
-        self._number += 1
-
-    def arrays(self, entries: Sequence[Sequence[Entry]], further: Sequence[str]) -> dict[str, Any]:
-        """The arrays of all entries, which have been added, by name, and those of their multipliers."""
-        assert self._complete
-        assert self._number == self._shape[1]
-        texts = {name: np.array(array.tolist()) for name, array in self._found.items() if ARRAYS[name].is_text}
-        multipliers = [[entry.solution.multipliers for entry in row] for row in entries]
-        return self._found | texts | multiplier_arrays(multipliers, further)
 
 
 def _meta(

@@ -320,7 +320,7 @@ def _without_limits(problems: Sequence[TransientProblem]) -> list[_Attempt]:
 
 
 def at_their_instants(problems: Sequence[TransientProblem], options: SolverOptions) -> list[Designed]:
-    """Solve problems with the wall's ticks and the instants of all limits fixed, those of equal sizes side by side."""
+    """Solve problems side by side, with the wall's ticks and the instants of all limits fixed."""
     attempts, found = _without_limits(problems), dict[int, Designed]()
     limited = list[int]()
     for i, each in enumerate(attempts):
@@ -362,19 +362,20 @@ def _under_limits(attempts: Sequence[_Attempt], options: SolverOptions) -> list[
     best = [last[i] if i in cool else each.best(last[i]) for i, each in enumerate(attempts)]
     found = _with_all_limits(solved, best, options)
     designed = []
-    for i, (each, (answer, proof, effect)) in enumerate(zip(attempts, found, strict=True)):
+    for i, (each, own) in enumerate(zip(attempts, found, strict=True)):
         spent = [each.free, first[i].solution, *([last[i].solution] if i in hot else [])]
-        answer = replace(answer, solve_time_s=sum(of.solve_time_s for of in spent))
         # Not a hand-over problem: an unstable wall has a status of its own, and if the problem without the
         # temperature limit has an optimum, the temperature is to blame.
         proven = first[i].is_proven or last[i].is_proven
         too_deep = "" if proven or unstable_wall(each.problem) else _hand_over_excess(each.small)
-        if too_deep:
-            answer = replace(answer, status=Status.HAND_OVER)
-        without = {"temperature": cool[i]} if i in cool else {}
-        designed.append(
-            each.designed(Certified(answer, proof, effect), solved[i], [too_deep] if too_deep else [], without)
+        answer = replace(
+            own.solution,
+            status=Status.HAND_OVER if too_deep else own.solution.status,
+            solve_time_s=sum(of.solve_time_s for of in spent),
         )
+        without = {"temperature": cool[i]} if i in cool else {}
+        remarks = [too_deep] if too_deep else []
+        designed.append(each.designed(own._replace(solution=answer), solved[i], remarks, without))
     return designed
 
 
@@ -404,7 +405,9 @@ def _with_all_limits(
         if proof.is_stationary and np.isfinite(proof.lower_bound) and _differ_in_limits(small, effect.problem)
     }
     rest = [i for i in range(len(found)) if i not in proofs]
-    proofs |= zip(rest, prove_all([(found[i].effect, found[i].solution.multipliers) for i in rest], options), strict=True)
+    proofs |= zip(
+        rest, prove_all([(found[i].effect, found[i].solution.multipliers) for i in rest], options), strict=True
+    )
     return [each._replace(proof=proofs[i]) for i, each in enumerate(found)]
 
 

@@ -216,8 +216,8 @@ class TransientProblem:
         stage, *spread = (device.within(instants) for device in self.devices)
         return replace(self._under(limits), stage=stage, spread=tuple(spread))
 
-    @property
-    def parts(self) -> dict[str, int]:
+    @cached_property
+    def parts(self) -> Mapping[str, int]:
         """Name of a limit on an output -> number of parts of a servo period at whose ends it is stated."""
         return {limit.name: limit.parts for limit in self.limits if isinstance(limit, OutputLimit)}
 

@@ -80,9 +80,7 @@ def _is_known(effect: Effect, multipliers: Multipliers) -> bool:
     return is_stated(problem, command, multipliers)
 
 
-def _side_by_side(
-    answers: Sequence[tuple[Effect, Multipliers]], given: Sequence[Stages]
-) -> list[Certificate | None]:
+def _side_by_side(answers: Sequence[tuple[Effect, Multipliers]], given: Sequence[Stages]) -> list[Certificate | None]:
     """Certificates from stage data of equal sizes; None where a number is not finite."""
     scale = np.array([each.input_scale for each in given])[:, None, None]
     units = np.stack([_units(effect.problem, each) for (effect, _), each in zip(answers, given, strict=True)])
@@ -96,7 +94,7 @@ def _side_by_side(
     warm_up([effect for effect, _ in answers])
     found = prove(given, commands, by_row, by_rule)
     excess, unit = found.excess * units, scale[:, 0, 0]
-    finite = np.isfinite(np.column_stack([excess, *found[1:6]])).all(axis=1)
+    finite = np.isfinite(np.column_stack([excess, *found[1:6]])).all(axis=1).tolist()
     numbers = zip(
         found.objective * OBJECTIVE_SCALE,
         found.residual * unit,

@@ -12,7 +12,6 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
-
 from numpy.typing import NDArray
 
 from transopt.base.recursions import address
@@ -26,7 +25,7 @@ from transopt.problem.stage import LinearStage, layout, linear_stage, outputs_of
 from transopt.solvers.modes import Modes, modes_of
 from transopt.solvers.stated_rows import WINDING, Rows, kelvin, rows_of
 
-MOST_KEPT = 64  # cached problems per thread: as many as are solved side by side, also without the temperature
+MOST_KEPT = 128  # cached problems per thread: as many as are solved side by side, also without the temperature
 NO_LIMITS = dict.fromkeys(("G", "d", "d_size", "lower", "upper"), np.zeros(0))
 # Integers, addresses of arrays, and scalars of `tr_problem` of riccati.c, in its order.
 SIZES = ("stages", "free_stages", "states", "motors", "outputs", "ends", "rows", "nodes", "current", "repeated")
@@ -316,7 +315,9 @@ def _stages(problems: Sequence[TransientProblem]) -> list[Stages]:
         "end_target": np.stack([each.target for each in after]) * by,
     }
     sizes, found = shared.sizes | {"ends": after[0].target.size}, []
-    constants = [(each.tracking.constant + its.rest) / OBJECTIVE_SCALE for each, its in zip(problems, after, strict=True)]
+    constants = [
+        (each.tracking.constant + its.rest) / OBJECTIVE_SCALE for each, its in zip(problems, after, strict=True)
+    ]
     records = records_of([_record(sizes, shared.numbers, shared.arrays)] * len(problems))
     records["constant"] = constants
     for name, array in arrays.items():

@@ -5,6 +5,7 @@ are derived from it.
 """
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 from transopt.plant.circuit import Circuit
@@ -42,9 +43,10 @@ OF_OUTPUTS = tuple(
 )  # limits that can be stated within a period
 
 
-def kinds_of(driven_by: Input) -> list[type[Limit]]:
+@lru_cache
+def kinds_of(driven_by: Input) -> tuple[type[Limit], ...]:
     """The kinds of limit that apply to plants with this input."""
-    return [kind for kind in KINDS if kind.concerns(driven_by)]
+    return tuple(kind for kind in KINDS if kind.concerns(driven_by))
 
 
 def kinds_for(driven_by: Input, circuit: Circuit | None) -> list[type[Limit]]:

@@ -14,7 +14,7 @@ import numpy as np
 from transopt.base.signals import FloatArray, samples_before
 from transopt.plant.intention import INTENTION_S
 from transopt.plant.time_grid import TimeGrid
-from transopt.problem.objective.target import Target, normal
+from transopt.problem.objective.target import Target
 from transopt.problem.objective.weighting import ErrorFilter, bandpass
 
 NAN = float("nan")

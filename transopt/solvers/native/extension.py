@@ -24,6 +24,7 @@ EXTENSION = "_riccati.pyd" if os.name == "nt" else "_riccati.so"
 MOST_STATES, MOST_MOTORS, MOST_ROWS = 96, 4, 128  # of riccati.c
 INTERFACE = 9  # version as in `tr_interface` of riccati.c; both change with the meaning of arguments or results
 
+
 class _Host(ct.Structure):
     _fields_ = tuple((name, ct.c_void_p) for name in ("release", "acquire", "interrupted"))
 
@@ -152,7 +153,10 @@ def _answers(method: Any, given: Sequence[Stages], asked: _Options) -> list[Answ
         sides = np.zeros((2, count, (N + 1) * max(rows, 1)))
         start = np.zeros((count, max(nodes, 1)))
         arrays = {"command": command, "size": size, "gradient": gradient, "start": start}
-        problems, results = records_of([each.record for each in some]), _at(arrays | {"lower": sides[0], "upper": sides[1]}, RESULT)
+        problems, results = (
+            records_of([each.record for each in some]),
+            _at(arrays | {"lower": sides[0], "upper": sides[1]}, RESULT),
+        )
         space = _workspace(count, problems)
         method(count, problems.ctypes.data, ct.byref(asked), address(space), results.ctypes.data)
         lower, upper = sides[..., : (N + 1) * rows].reshape(2, count, N + 1, rows)
