@@ -220,7 +220,7 @@ def _hand_over_excess(problem: TransientProblem) -> str:
 
 def _solved(problem: TransientProblem, options: SolverOptions) -> Search[Designed]:
     """Solve with the wall's ticks fixed, refining the instants at which limits on outputs are stated as needed."""
-    designed = yield Ask(at_their_instants, problem, (options,))
+    designed: Designed = yield Ask(at_their_instants, problem, (options,))
     spent = designed.solution.solve_time_s
     while not options.brief and (parts := finer(designed)):
         again = yield Ask(at_their_instants, designed.problem.within(parts), (options,))
@@ -286,9 +286,8 @@ class _Attempt:
     ) -> Designed:
         """The answer; `without` has what else was left out."""
         answer, proof, effect = found
-        left_out, remarks = self.left_out | without, list(remarks)
-        numbers = self.free.command, self.floor, self.peak
-        return Designed(self.problem, answer, proof, effect, *numbers, left_out, solved, remarks)
+        left_out, numbers = {**self.left_out, **without}, (self.free.command, self.floor, self.peak)
+        return Designed(self.problem, answer, proof, effect, *numbers, left_out, solved, list(remarks))
 
 
 def _without_limits(problems: Sequence[TransientProblem]) -> list[_Attempt]:

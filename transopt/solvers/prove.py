@@ -94,7 +94,7 @@ def _side_by_side(answers: Sequence[tuple[Effect, Multipliers]], given: Sequence
     warm_up([effect for effect, _ in answers])
     found = prove(given, commands, by_row, by_rule)
     excess, unit = found.excess * units, scale[:, 0, 0]
-    finite = np.isfinite(np.column_stack([excess, *found[1:6]])).all(axis=1).tolist()
+    finite = [bool(np.isfinite(row).all()) for row in np.column_stack([excess, *found[1:6]])]
     numbers = zip(
         found.objective * OBJECTIVE_SCALE,
         found.residual * unit,

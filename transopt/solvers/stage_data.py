@@ -129,7 +129,7 @@ class Stages:
         return _record(self.sizes, self.numbers, self.arrays)
 
     def of(self, problem: TransientProblem) -> "Stages":
-        """The same stage data as those of another problem with the same parts."""
+        """Return these stage data as those of another problem with the same parts."""
         if problem is self.problem:
             return self
         found = replace(self, problem=problem)
