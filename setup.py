@@ -20,7 +20,9 @@ SOLVER = Path("transopt/solvers/native")
 CORE = sorted(path.as_posix() for path in (FIRMWARE / "src/core").glob("*.c"))
 DRIVEN = [(FIRMWARE / "replay" / name).as_posix() for name in ("td_probe.c", "td_replay.c")]
 # By name: Windows exports nothing else, and elsewhere everything is exported.
-SOLVER_CALLS = ["tr_interface", "tr_workspace", "tr_solve", "tr_linear", "tr_prove"]
+SOLVER_CALLS = [
+    *("tr_interface", "tr_workspace", "tr_solve", "tr_shortened_workspace", "tr_shortened", "tr_linear", "tr_prove")
+]
 RECURSION_CALLS = [
     *("tr_most_states", "tr_most_width", "tr_run", "tr_forwards", "tr_backwards"),
     *("tr_courses", "tr_bilinear", "tr_heated", "tr_spline", "tr_spline_even", "tr_struck"),

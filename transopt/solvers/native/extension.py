@@ -22,7 +22,7 @@ from transopt.solvers.stage_data import Stages, records_of
 
 EXTENSION = "_riccati.pyd" if os.name == "nt" else "_riccati.so"
 MOST_STATES, MOST_MOTORS, MOST_ROWS = 96, 4, 128  # of riccati.c
-INTERFACE = 9  # version as in `tr_interface` of riccati.c; both change with the meaning of arguments or results
+INTERFACE = 10  # version as in `tr_interface` of riccati.c; both change with the meaning of arguments or results
 
 
 class _Host(ct.Structure):
@@ -58,6 +58,8 @@ def _library() -> ct.CDLL | None:
     library.tr_workspace.restype, library.tr_workspace.argtypes = ct.c_size_t, (ct.c_int, array)
     library.tr_solve.argtypes = (ct.c_int, array, ct.POINTER(_Options), array, array)
     library.tr_linear.argtypes = library.tr_solve.argtypes
+    library.tr_shortened_workspace.restype, library.tr_shortened_workspace.argtypes = ct.c_size_t, (array,)
+    library.tr_shortened.argtypes = (array, ct.c_int, ct.POINTER(_Options), array, array)
     library.tr_prove.argtypes = (ct.c_int, array, array, array)
     return library
 
@@ -112,11 +114,9 @@ MOST_KEPT_BYTES = 2**25  # largest workspace kept per thread; enough for eight p
 _memory = threading.local()
 
 
-def _workspace(count: int, problems: NDArray[np.void]) -> FloatArray:
-    """The workspace of this thread, reused: allocating fresh memory takes as long as solving a short problem."""
-    assert _LIBRARY is not None
+def _workspace(needed: int) -> FloatArray:
+    """So many doubles, the workspace of this thread: fresh memory takes as long as solving a short problem."""
     kept: FloatArray = vars(_memory).setdefault("kept", np.empty(0))
-    needed = _LIBRARY.tr_workspace(count, problems.ctypes.data)
     if kept.size >= needed:
         return kept
     fresh = np.empty(needed)
@@ -142,8 +142,9 @@ def of_equal_sizes(given: Sequence[Stages]) -> Iterator[list[int]]:
     yield from groups.values()
 
 
-def _answers(method: Any, given: Sequence[Stages], asked: _Options) -> list[Answer]:
-    """Answers of `tr_solve` or `tr_linear` to problems of any sizes, in their order."""
+def _answers(method: Any, given: Sequence[Stages], asked: _Options, cut: int = 0) -> list[Answer]:
+    """Answers of `tr_solve` or `tr_linear` to problems of any sizes, in their order; with a `cut`, of `tr_shortened`."""
+    assert _LIBRARY is not None
     found: dict[int, Answer] = {}
     for group in of_equal_sizes(given):
         some, count = [given[i] for i in group], len(group)
@@ -153,12 +154,15 @@ def _answers(method: Any, given: Sequence[Stages], asked: _Options) -> list[Answ
         sides = np.zeros((2, count, (N + 1) * max(rows, 1)))
         start = np.zeros((count, max(nodes, 1)))
         arrays = {"command": command, "size": size, "gradient": gradient, "start": start}
-        problems, results = (
-            records_of([each.record for each in some]),
-            _at(arrays | {"lower": sides[0], "upper": sides[1]}, RESULT),
-        )
-        space = _workspace(count, problems)
-        method(count, problems.ctypes.data, ct.byref(asked), address(space), results.ctypes.data)
+        problems = records_of([each.record for each in some])
+        results = _at(arrays | {"lower": sides[0], "upper": sides[1]}, RESULT)
+        at, into = problems.ctypes.data, results.ctypes.data
+        if cut:
+            space = _workspace(_LIBRARY.tr_shortened_workspace(at))
+            _LIBRARY.tr_shortened(at, cut, ct.byref(asked), address(space), into)
+        else:
+            space = _workspace(_LIBRARY.tr_workspace(count, at))
+            method(count, at, ct.byref(asked), address(space), into)
         lower, upper = sides[..., : (N + 1) * rows].reshape(2, count, N + 1, rows)
         numbers = (results[name].tolist() for name in ("code", "iterations", "objective", "gap", "residual"))
         waves = (np.swapaxes(each, 1, 2) if motors > 1 else each[..., 0] for each in (command, gradient))
@@ -166,19 +170,24 @@ def _answers(method: Any, given: Sequence[Stages], asked: _Options) -> list[Answ
     return [found[i] for i in range(len(given))]
 
 
-def interior_points(given: Sequence[Stages], *, tolerance: float, max_iterations: int) -> list[Answer]:
+def interior_points(
+    given: Sequence[Stages], *, tolerance: float, max_iterations: int, cut: int = 0
+) -> list[Answer]:
     """Solve problems, those of equal sizes side by side.
 
     Parameters
     ----------
     tolerance : on the gap, relative to max(J, 1e-3), and on the residuals of the limits, in their units.
+    cut : only for a single problem without taps that repeat. If it is above 0, the limits are stated at the stages
+        before it alone: a search over so many stages, much shorter if limits bind early. The caller must check the
+        limits from there on.
 
     Raises
     ------
     InputError : invalid bounds of a limit.
     """
     assert _LIBRARY is not None
-    found = _answers(_LIBRARY.tr_solve, given, _Options(max_iterations, tolerance, _HOST))
+    found = _answers(_LIBRARY.tr_solve, given, _Options(max_iterations, tolerance, _HOST), cut)
     for stages, answer in zip(given, found, strict=True):
         if answer.code == NO_BOUNDS:
             rows = stages.limits
@@ -240,5 +249,6 @@ def prove(
     bounds = [each.limits.asked for each in given]
     proofs["lower"] = [address(each) for each in bounds]
     proofs["upper"] = [address(each) + each.strides[0] for each in bounds]
-    _LIBRARY.tr_prove(count, problems.ctypes.data, address(_workspace(count, problems)), proofs.ctypes.data)
+    space = _workspace(_LIBRARY.tr_workspace(count, problems.ctypes.data))
+    _LIBRARY.tr_prove(count, problems.ctypes.data, address(space), proofs.ctypes.data)
     return Proofs(excess[:, :rows], *(proofs[name] for name in Proofs._fields[1:]))

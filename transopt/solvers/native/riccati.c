@@ -70,7 +70,7 @@ static const tr_kernel *kernel_for(const tr_problem *q, int count, int *taken)
 }
 
 /* Version of the interface, incremented when arguments or results change; callers must check it. */
-int tr_interface(void) { return 9; }
+int tr_interface(void) { return 10; }
 
 static int fits(const tr_problem *q)
 {
@@ -137,6 +137,27 @@ int tr_solve(int count, const tr_problem *q, const tr_options *options, double *
         SIDE_BY_SIDE(r, i, taken, theirs);
         failed = kernel->search(some, options, space, theirs, &watch);
     }
+    acquired(&watch);
+    return failed;
+}
+
+/* Doubles of workspace of `tr_shortened`; 0 if the sizes are not within this method's limits. */
+size_t tr_shortened_workspace(const tr_problem *q)
+{
+    int taken;
+    return fits(q) ? kernel_for(q, 1, &taken)->shortened_sizes(q) : 0;
+}
+
+/* `tr_solve` of one problem whose limits are stated at the stages before `cut` alone; the multipliers of the others are
+ * not written. Nodes and their limit may be there, but no taps that repeat. */
+int tr_shortened(const tr_problem *q, int cut, const tr_options *options, double *space, tr_result *r)
+{
+    int taken;
+    r->iterations = 0;
+    if (!fits(q) || q->repeated || cut < 1 || cut > q->free_stages) return r->code = TR_TOO_LARGE;
+    if (!has_bounds(q)) return r->code = TR_NO_BOUNDS;
+    tr_watch watch = released(options->host);
+    const int failed = kernel_for(q, 1, &taken)->shortened(q, cut, options, space, r, &watch);
     acquired(&watch);
     return failed;
 }

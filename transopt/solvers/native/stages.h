@@ -45,6 +45,7 @@ static const double FARTHEST = 5e-3;  /* share of slacks and multipliers that a 
 static const double NEAREST = 1e-9, NEARNESS = 0.1;
 static const double FIRST_GAP = 3.0;  /* gap of the first iterate, in units of its objective */
 static const double LAST_GAP = 0.03;  /* that is aimed at, of what is allowed: less only costs digits elsewhere */
+static const double NO_PIVOT = 1e-14; /* of a Cholesky factor, as a share of the largest diagonal entry */
 static const double LEAST = 1e-290;   /* negligible positive number that avoids a division by zero */
 enum {
     PATIENCE = 6,    /* iterations without a better iterate */
@@ -215,6 +216,8 @@ typedef struct {
     number kept_start[MOST_NODES], kept_objective, kept_gap, kept_residual;
     number sound;                        /* 0 where a factorisation has broken down */
     int limited;                         /* whether there is any limit */
+    int cut;                             /* stage whose cost to go and costate are kept below, where these are not NULL */
+    lanes *cost_at_cut, *costate_at_cut;
     /* At the ends of the horizon: cost to go in th_0, its gradient, th_N of a step; the closure's multiplier. */
     number P0[MOST_NODES * MOST_NODES], p0[MOST_NODES], th_end[MOST_NODES];
     number eta[MOST_NODES], d_eta[MOST_NODES], d_start[MOST_NODES];
@@ -752,8 +755,10 @@ ALWAYS_INLINE void backward_sized(const int n, const int motors, const int t, co
 {
     tr_costate costate;
     backward_begin(blocks, w, t, end, own, newton, &costate);
-    for (int k = w->q->stages - 1; k >= 0; k--)
+    for (int k = w->q->stages - 1; k >= 0; k--) {
         backward_stage(n, motors, blocks, w, t, k, own, offset, offset_e, newton, &costate);
+        if (w->costate_at_cut && k == w->cut) memcpy(w->costate_at_cut, costate.p, (size_t)blocks * sizeof(lanes));
+    }
     memcpy(w->p0, costate.th, (size_t)t * sizeof(number));
 }
 
@@ -920,6 +925,7 @@ ALWAYS_INLINE int factor_sized(const int n, const int motors, const int t, const
             for (int i = 0; i < blocks; i++) Q[j * blocks + i] = HQ[j * blocks + i];
             for (int i = 0; i <= j; i++) R[i * t + j] = R[j * t + i] = HR[i * t + j];
         }
+        if (w->cost_at_cut && k == w->cut) memcpy(w->cost_at_cut, P, (size_t)(ld * blocks) * sizeof(lanes));
         if (end) backward_stage(n, motors, blocks, w, t, k, 1, w->offset, w->offset_e, 1, &costate);
     }
     if (end) memcpy(w->p0, costate.th, (size_t)t * sizeof(number));
@@ -1552,6 +1558,108 @@ static int linear(const tr_problem *const *all, double tolerance, double *space,
     return 0;
 }
 
+#if ENTRIES == 1
+/* Cholesky factor Z (n, n) of the symmetric P = Z' Z (rows of ld numbers), by rows; a pivot that is zero up to rounding,
+ * of a state without a cost, leaves a row of zeros. Returns y (n) with Z' y = p, the rows of zeros left out. */
+static void root_of(int n, int ld, double *P, const double *p, double *Z, double *y)
+{
+    double most = 0.0;
+    memset(Z, 0, (size_t)(n * n) * sizeof(double));
+    for (int i = 0; i < n; i++) most = fmax(most, P[i * ld + i]);
+    for (int i = 0; i < n; i++) {
+        double left = P[i * ld + i], right = p[i];
+        for (int l = 0; l < i; l++) left -= Z[l * n + i] * Z[l * n + i], right -= Z[l * n + i] * y[l];
+        y[i] = 0.0;
+        if (!(left > NO_PIVOT * most)) continue;
+        Z[i * n + i] = sqrt(left), y[i] = right / Z[i * n + i];
+        for (int j = i + 1; j < n; j++) {
+            double sum = 0.5 * (P[i * ld + j] + P[j * ld + i]);
+            for (int l = 0; l < i; l++) sum -= Z[l * n + i] * Z[l * n + j];
+            Z[i * n + j] = sum / Z[i * n + i];
+        }
+    }
+}
+
+/* Doubles that `shortened` needs. */
+static size_t shortened_workspace(const tr_problem *q)
+{
+    const size_t n = (size_t)q->states, ld = BLOCKS(n) * PER, m = ((size_t)q->stages + 1) * (size_t)q->rows;
+    tr_problem head = *q;
+    head.ends = q->states;
+    return workspace(q) + workspace(&head) + (ld + 1) * ld + (n + 3) * n + 2 * m + 2 * WIDTH;
+}
+
+/* Search with limits that are stated before stage `cut` alone. From there on the optimum follows from the state, and its
+ * cost is a square: a pass without limits gives both, and the search has `cut` stages. The caller judges the answer. */
+static int shortened(const tr_problem *q, int cut, const tr_options *options, double *space, tr_result *r, tr_watch *watch)
+{
+    tr_work work, *w = &work;
+    tr_problem bare = *q, head = *q;
+    const tr_problem *of_bare = &bare, *of_head = &head;
+    const int n = q->states, motors = q->motors, first = n - motors, m = q->rows, N = q->stages;
+    const int blocks = BLOCKS(n), ld = blocks * PER;
+    const double none[MOST_NODES] = {0};
+    lanes x[MOST_BLOCKS] = {{0}}, next[MOST_BLOCKS];
+    bare.rows = bare.nodes = bare.repeated = 0;
+    prepare(w, &of_bare, space, watch);
+    double *taken = space + workspace(&bare);
+    while ((uintptr_t)taken % (WIDTH * sizeof(double))) taken++;
+    double *P = taken, *p = P + ld * ld, *Z = p + ld, *z = Z + n * n, *y = z + n, *lower = y + n;
+    double *upper = lower + (cut + 1) * m;
+    w->cut = cut, w->cost_at_cut = (lanes *)P, w->costate_at_cut = (lanes *)p;
+    if (factor(w, 0, NULL) == TR_INTERRUPTED) return TR_INTERRUPTED;
+    r->code = TR_BREAKDOWN;
+    if (w->sound == 0.0) return 0;
+    begin(w);
+    tr_state now = {0};
+    for (int pass = 0; pass <= REFINEMENTS; pass++) {
+        newton(w, 0);
+        advance(w, 1.0);
+        now = judge(w, 0.0, 0.0);
+        if (now.stationarity <= options->tolerance * fmax(now.objective, 1.0)) break;
+    }
+    /* The rest's cost about the pass's own state x at the cut is |Z x_cut - z|^2 / 2 and a constant. */
+    head.constant = now.objective;
+    for (int k = 0; k < cut; k++) {
+        flow(first, motors, blocks, w, x, w->u + k * motors, next);
+        memcpy(x, next, sizeof x);
+        for (int c = k * motors; c < (k + 1) * motors; c++) head.constant -= 0.5 * w->movement_weight * w->u[c] * w->u[c];
+        for (int o = k * q->outputs; o < (k + 1) * q->outputs; o++)
+            head.constant -= 0.5 * w->weight[o] * w->error[o] * w->error[o];
+    }
+    root_of(n, ld, P, p, Z, y);
+    for (int i = 0; i < n; i++) {
+        z[i] = -y[i];
+        for (int j = i; j < n; j++) z[i] += Z[i * n + j] * AT(x, j);
+        head.constant -= 0.5 * y[i] * y[i];
+    }
+    /* At the cut itself only the temperature is limited: no other limit's value there is decided before it. */
+    for (int i = 0; i < (cut + 1) * m; i++) {
+        const int stated = i < cut * m || (NODES(q) && i == cut * m);
+        lower[i] = stated ? q->lower[i] : -INFINITY, upper[i] = stated ? q->upper[i] : INFINITY;
+    }
+    head.stages = head.free_stages = cut, head.ends = n;
+    head.end_gain = Z, head.end_target = z, head.lower = lower, head.upper = upper;
+    const int failed = solve(&of_head, options, upper + (cut + 1) * m, &r, watch);
+    if (failed) return failed;
+    /* What the search has moved, and by the pass's gains the rest. */
+    memset(w->K, 0, (size_t)(cut * motors * ld) * sizeof(double));
+    memset(w->pivot, 0, (size_t)(cut * motors * motors) * sizeof(double));
+    memset(w->offset, 0, (size_t)(N * motors) * sizeof(double));
+    for (int at = 0; at < cut * motors; at++)
+        w->offset[at] = r->command[at] - (at < motors ? 0.0 : r->command[at - motors]) - w->u[at];
+    forward(w, none, w->offset, w->offset_e, 1);
+    advance(w, 1.0);
+    backward(w, none, 1, w->offset, w->offset_e, 0);
+    for (int at = cut * motors; at < N * motors; at++)
+        r->command[at] = r->command[at - motors] + w->u[at], r->gradient[at] = w->offset[at];
+    return 0;
+}
+#else
+#define shortened NULL
+#define shortened_workspace NULL
+#endif
+
 /* A multiplier times the absolute slack; zero without a bound. */
 ALWAYS_INLINE number paired_with(const number multiplier, const number slack)
 {
@@ -1663,5 +1771,5 @@ static void prove(const tr_problem *const *all, double *space, tr_proof *const *
     }
 }
 
-const tr_kernel KERNEL(WIDTH, ENTRIES) = {ENTRIES, workspace, solve, linear, prove};
+const tr_kernel KERNEL(WIDTH, ENTRIES) = {ENTRIES, workspace, solve, linear, prove, shortened_workspace, shortened};
 #endif
