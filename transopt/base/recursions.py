@@ -152,8 +152,11 @@ class LinearSystem:
     @cached_property
     def _matrix(self) -> FloatArray:
         """(m + p, width) matrix in the layout of `tr_courses`, its width padded to a multiple of four."""
-        whole = np.block([[self.A.T, self._C.T], [self.B.T, self._D.T]])
-        return np.ascontiguousarray(np.pad(whole, ((0, 0), (0, -whole.shape[1] % 4))))
+        m, width = self.A.shape[0], self.A.shape[0] + self._C.shape[0]
+        whole = np.zeros((m + self.B.shape[1], width + -width % 4), dtype=self._dtype)
+        whole[:m, :m], whole[:m, m:width] = self.A.T, self._C.T
+        whole[m:, :m], whole[m:, m:width] = self.B.T, self._D.T
+        return whole
 
 
 def bilinear(

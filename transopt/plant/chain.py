@@ -4,8 +4,9 @@ Every model of a device whose masses are known is such a chain (`transopt.plant.
 `drive`). All masses are positive, all stiffnesses and dampings at least zero, so that a chain is passive.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
@@ -29,6 +30,7 @@ def chain(
     driven: int = 0,
     stylus: int,
     names: Sequence[str] = (),
+    further: Mapping[str, Output] = MappingProxyType({}),
 ) -> StateSpace:
     """Assemble a chain of masses; link j joins mass j and mass j + 1, link n joins mass n and the ground.
 
@@ -46,6 +48,7 @@ def chain(
     stylus : index of the mass whose acceleration is the output.
     names : names of the masses. The model has the outputs "NAME position" and "NAME velocity" for each named mass,
         and "position" and "velocity" of the first mass, which the encoder reads.
+    further : outputs besides these.
 
     Raises
     ------
@@ -81,4 +84,5 @@ def chain(
         position[0, mass:n], velocity[0, n + mass] = 1.0, 1.0
         outputs[f"{name} {POSITION}".strip()] = Output(position, "m", POSITION)
         outputs[f"{name} {VELOCITY}".strip()] = Output(velocity, "m/s", VELOCITY)
-    return StateSpace(A, B, A[n + stylus : n + stylus + 1].copy(), B[n + stylus : n + stylus + 1].copy(), outputs)
+    row = slice(n + stylus, n + stylus + 1)
+    return StateSpace(A, B, A[row].copy(), B[row].copy(), {**outputs, **further})

@@ -4,7 +4,6 @@ Outputs: "position" and "velocity" of the motor mass, also called "motor positio
 "stylus" and, at grips above 0, "hand"; and "transmission stretch", the displacement between motor and stylus.
 """
 
-from dataclasses import replace
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -40,16 +39,15 @@ def drive(
     InputError : parameters that are not passive at this grip.
     """
     masses, links = held([moving_mass_kg, stylus_mass_kg], [transmission], hand, grip_N)
-    model = chain(
+    return chain(
         masses,
         links,
         force_per_current_N_A=force_per_current_N_A,
         driven=driven,
         stylus=1,
         names=("motor", "stylus", "hand")[: len(masses)],
+        further={"transmission stretch": Output(np.eye(1, 2 * len(masses)), "m")},
     )
-    stretch = Output(np.eye(1, model.order), "m")
-    return replace(model, outputs={**model.outputs, "transmission stretch": stretch})
 
 
 class Drive(PlantKind):

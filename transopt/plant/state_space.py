@@ -95,14 +95,16 @@ class StateSpace:
 
     def __post_init__(self) -> None:
         n, m, p = self.A.shape[0], *(max(size, 1) for size in (self.B.shape[-1], self.C.shape[0]))
-        named = {"A": (self.A, n), "B": (self.B, m), "C": (self.C, n), "D": (self.D, m)}
-        rows = {"A": n, "B": n, "C": p, "D": p}
-        for name, (matrix, columns) in {**named, **{k: (v.row, n) for k, v in self.outputs.items()}}.items():
-            shape = (rows.get(name, 1), columns)
+        shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)}
+        named = {"A": self.A, "B": self.B, "C": self.C, "D": self.D} | {k: v.row for k, v in self.outputs.items()}
+        for name, matrix in named.items():
+            shape = shapes.get(name, (1, n))
             if matrix.shape != shape:
                 raise InputError(f"plant matrix {name} has shape {matrix.shape}, expected {shape}")
-            if not np.all(np.isfinite(matrix)):
-                raise InputError(f"plant matrix {name} holds a number that is not finite")
+        # All at once: a plant is made for every tap.
+        if not np.isfinite(np.concatenate([matrix.ravel() for matrix in named.values()])).all():
+            name = next(name for name, matrix in named.items() if not np.isfinite(matrix).all())
+            raise InputError(f"plant matrix {name} holds a number that is not finite")
 
     @property
     def order(self) -> int:

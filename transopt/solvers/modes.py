@@ -49,9 +49,9 @@ def _of_dynamics(A: FloatArray, current: int) -> Modes:
         return dense  # from a damaged file; the certificate refuses the answer
     values, vectors = np.linalg.eig(A[:-1, :-1])
     pairs, real = _columns(values, vectors)
-    T = np.eye(n)
-    T[:-1, :-1] = np.array([*pairs, *real]).T
-    T /= np.maximum(np.linalg.norm(T, axis=0), np.finfo(float).tiny)
+    T = np.zeros((n, n))
+    T[:-1, :-1], T[-1, -1] = np.concatenate([pairs, real]).T, 1.0
+    T /= np.maximum(np.sqrt((T * T).sum(axis=0)), np.finfo(float).tiny)
     if current >= 0:
         # Only the command acts on the current, so that the current is itself a mode; it keeps its unit.
         own = int(np.abs(T[current]).argmax())
@@ -101,14 +101,13 @@ def _of_motors(stage: LinearStage, where: Layout) -> Modes:
     return Modes(T, found, before - m if where.amplifier else -1)
 
 
-def _columns(values: ComplexArray, vectors: ComplexArray) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Real columns of eigenvectors: those of complex modes in pairs, and those of real modes."""
-    pairs = []
-    for vector in vectors.T[values.imag > 0]:
-        # Choose the phase of the eigenvector for which its real and imaginary parts are orthogonal.
-        turned = vector * np.exp(-0.5j * np.angle(np.sum(vector**2)))
-        pairs += [turned.real, turned.imag]
-    return pairs, list(vectors.T[values.imag == 0].real)
+def _columns(values: ComplexArray, vectors: ComplexArray) -> tuple[FloatArray, FloatArray]:
+    """Real columns of eigenvectors, as rows: those of complex modes in pairs, and those of real modes."""
+    upper = vectors.T[values.imag > 0]
+    # Choose the phase of the eigenvector for which its real and imaginary parts are orthogonal.
+    turned = upper * np.exp(-0.5j * np.angle((upper**2).sum(axis=1)))[:, None]
+    pairs = np.stack([turned.real, turned.imag], axis=1).reshape(-1, vectors.shape[0])
+    return pairs, vectors.T[values.imag == 0].real
 
 
 def _driven(A: FloatArray, states: slice, pole: complex, by: FloatArray) -> FloatArray:

@@ -102,49 +102,42 @@ def rows_of(problem: TransientProblem, stage: LinearStage) -> Rows:
     N, thermal = problem.grid.stages, problem.thermal
     none, every = np.zeros(stage.units.size), slice(N)
     kinds: list[str] = []
-    found: list[tuple[FloatArray, FloatArray, float, FloatArray, FloatArray]] = []
-
-    def row(
-        kind: str,
-        G: FloatArray,
-        d: float,
-        d_size: float,
-        lower: FloatArray | float,
-        upper: FloatArray | float,
-        stages: slice,
-        motor: int = 0,
-    ) -> None:
-        """Append a row that is bounded at some stages."""
-        bounds = np.array([np.full(N + 1, -np.inf), np.full(N + 1, np.inf)])
-        bounds[0, stages], bounds[1, stages] = lower, upper
-        kinds.append(kind)
-        found.append((G, d * (np.arange(stage.motors) == motor), d_size, bounds[0], bounds[1]))
-
+    values: list[tuple[FloatArray, float, float, int]] = []  # G, d, d_size and the motor of d
+    sides: list[tuple[FloatArray | float, FloatArray | float, slice]] = []  # lower and upper bound at some stages
     if thermal is not None:
-        row(WINDING, none, 0.0, 0.0, -np.inf, thermal.model.headroom_K / kelvin(problem), slice(1, N + 1))
-        if thermal.model.closure is not None:
-            # Taps that repeat never cool below the surroundings: colder fixed points are those of a runaway.
-            found[-1][3][0] = 0.0
+        kinds.append(WINDING)
+        values.append((none, 0.0, 0.0, 0))
+        sides.append((-np.inf, thermal.model.headroom_K / kelvin(problem), slice(1, N + 1)))
     every_row = stated_rows(problem, stage)
     for stated in every_row:
-        row(stated.name, stated.G, stated.d, 0.0, stated.lower, stated.upper, every, stated.motor)
+        kinds.append(stated.name)
+        values.append((stated.G, stated.d, 0.0, stated.motor))
+        sides.append((stated.lower, stated.upper, every))
     if thermal is not None:
         # size >= |mean i|: the kink of Eq. 7 as two smooth rows, which Newton's method can handle.
         # The unit is the input scale, as for the named outputs.
         heating, flows, asked = thermal.model.heating, stage.outputs[0][INPUT], stage.outputs[0][COMMAND]
         G, d = (mean_current(heating.share, heating.decay, i, c) for i, c in zip(flows, asked, strict=True))
-        for kind, sign in {"size_above": -1.0, "size_below": 1.0}.items():
-            row(kind, sign * G, float(sign * d), 1.0, 0.0, np.inf, every)
         size = SIZE_BOUND * problem.limits.input_limit / stage.input_scale
-        row("size", none, 0.0, 1.0, -size, size, every)
+        kinds += ["size_above", "size_below", "size"]
+        values += [(-G, -float(d), 1.0, 0), (G, float(d), 1.0, 0), (none, 0.0, 1.0, 0)]
+        sides += [(0.0, np.inf, every), (0.0, np.inf, every), (-size, size, every)]
 
-    G, d, d_size, lower, upper = (np.array(each) for each in zip(*found, strict=True))
-    bounds = np.concatenate([lower, upper], axis=1)
-    unit = np.abs(np.where(np.isfinite(bounds), bounds, 0.0)).max(axis=1)
+    G, d, d_size = (np.array([row[j] for row in values]) for j in range(3))
+    d = d[:, None] * (np.arange(stage.motors) == [[row[3]] for row in values])
+    bounds = np.empty((2, len(kinds), N + 1))
+    bounds[0], bounds[1] = -np.inf, np.inf
+    for j, (lower, upper, stages) in enumerate(sides):
+        bounds[0, j, stages], bounds[1, j, stages] = lower, upper
+    if thermal is not None and thermal.model.closure is not None:
+        # Taps that repeat never cool below the surroundings: colder fixed points are those of a runaway.
+        bounds[0, 0, 0] = 0.0
+    unit = np.abs(np.where(np.isfinite(bounds), bounds, 0.0)).max(axis=(0, 2))
     # The winding's row is a thermal state, already in units of the largest headroom.
     unit = np.where((unit > 0) & (np.array(kinds) != WINDING), unit, 1.0)
-    by = unit[:, None]
     whole = np.zeros((2, N, 0))
     if thermal is None:
         whole = np.ascontiguousarray(np.stack([stated.asked for stated in every_row], axis=-1) / unit)
-    return Rows(tuple(kinds), G / by, d / by, d_size / unit, (lower / by).T, (upper / by).T, whole, unit)
+    by = unit[:, None]
+    lower, upper = np.ascontiguousarray(np.swapaxes(bounds / by, 1, 2))
+    return Rows(tuple(kinds), G / by, d / by, d_size / unit, lower, upper, whole, unit)
