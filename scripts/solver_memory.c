@@ -96,6 +96,12 @@ static void run(FILE *file)
     for (int i = 0; i < (r[0].code == TR_NO_BOUNDS ? 1 : BESIDE); i++) tell("solve", &q, r + i);
     free(workspace);
     if (!q.nodes && r->code <= TR_ACCURACY) tell_proof(&q, r);
+    if (r->code != TR_NO_BOUNDS && !q.repeated && q.free_stages > 1) {
+        workspace = doubles(tr_shortened_workspace(&q));
+        tr_shortened(&q, (q.free_stages + 1) / 2, &options, workspace, r);
+        tell("shortened", &q, r);
+        free(workspace);
+    }
     if (!q.rows && !q.nodes) {
         workspace = doubles(tr_workspace(1, &q));
         tr_linear(1, &q, &options, workspace, r);

@@ -132,6 +132,9 @@ def expected(stages: Stages) -> list[list[float]]:
     answers, proofs = [answer] * BESIDE, list[list[float]]()
     if not stages.sizes["nodes"] and answer.code <= extension.ACCURACY:
         proofs = [proved(stages, answer, bare=bare) for bare in (True, False)]
+    if not stages.sizes["repeated"] and stages.sizes["free_stages"] > 1:
+        cut = (stages.sizes["free_stages"] + 1) // 2
+        answers += extension.interior_points([stages], tolerance=1e-9, max_iterations=60, cut=cut)
     if not stages.sizes["rows"] and not stages.sizes["nodes"]:
         answers += extension.linear_passes([stages], 1e-9)
     told = [

@@ -13,6 +13,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from transopt.base.errors import InputError
 from transopt.base.shown import brief, cut
@@ -32,7 +33,7 @@ from transopt.problem.posing import Posing
 from transopt.problem.problem import TransientProblem
 from transopt.problem.wall_ticks import pressing, pressing_under
 from transopt.proof.certify import BINDING_MULTIPLIER, certify, relaxed_bound
-from transopt.proof.effect import TEMPERATURE, Effect, inside
+from transopt.proof.effect import TEMPERATURE, Effect, boxes_of, inside
 from transopt.solvers.native.extension import (
     ACCURACY,
     MOST_STATES,
@@ -51,6 +52,7 @@ TOLERANCE = 1e-9  # on gap and residuals: three digits tighter than the certific
 MOST_ITERATIONS = 60  # a tap takes 10 to 30; beyond this the blend is played
 MOST_MASKS = 3  # solves until the assumed pressing of the wall agrees with the answer
 FAMILIES = 64  # number of grips whose stage models are cached
+MARGIN = 24  # stages beyond the last at which a limit is expected to bind, up to which it is stated
 
 
 @dataclass(frozen=True)
@@ -136,6 +138,7 @@ class Online:
         self._posing, self._corrected = library.posing(), bool(np.any(library.correction_m_s2))
         entries = [library.parts(iv, ig) for iv, ig in np.ndindex(library.command.shape[:2])]
         self._parts = {name: max(parts[name] for parts in entries) for name in entries[0]}
+        self._bound = _last_bound(library)
         fastest, firmest = float(library.speeds_m_s[-1]), float(library.grips_N[-1])
         problem = self._posed(self._posing, fastest, firmest, self._coil)
         # Allocate memory for all problems of a tap: without limits, with and without the temperature.
@@ -220,7 +223,9 @@ class Online:
         if place.silent and not remark:
             remark = "nothing to play: too little grip or speed"
         problem = None if remark else self._posed(posing, place.speed_m_s, place.grip_N, coil)
-        found = remark if problem is None else self._optimum(problem)
+        # The library's own limits bind about as long as in the nodes around.
+        expected = 0 if limits else self._expected(place.speed_m_s, place.grip_N)
+        found = remark if problem is None else self._optimum(problem, expected)
         if isinstance(found, str):
             wave = self._library.blend(place)
             if limits and problem is None:  # the coil is too hot at the start
@@ -234,10 +239,16 @@ class Online:
         wave = Waveform(**vars(place), command=answer.command, transient_command=transient)
         return OnlineTap(wave, answer.proof, "", time.perf_counter() - start)
 
-    def _optimum(self, problem: TransientProblem) -> tuple[TransientProblem, _Found] | str:
+    def _expected(self, speed_m_s: float, grip_N: float) -> int:
+        """Number of stages up to the last at which a limit binds in the nodes around a place, 0 if none does."""
+        by_speed = interpolation_weights(self._library.speeds_m_s, speed_m_s)
+        by_grip = interpolation_weights(self._library.grips_N, grip_N)
+        return int(self._bound[np.ix_(by_speed > 0, by_grip > 0)].max())
+
+    def _optimum(self, problem: TransientProblem, expected: int) -> tuple[TransientProblem, _Found] | str:
         """The problem, with the wall pressing as the answer makes it press, and that answer; or why there is none."""
         for _ in range(MOST_MASKS):
-            found = self._solved(problem)
+            found = self._solved(problem, expected)
             if found is None or not found.proof.accepted:
                 return "no certified optimum"
             if problem.wall is None:
@@ -250,52 +261,76 @@ class Online:
             problem = again
         return "the wall pushes elsewhere after every solve"
 
-    def _solved(self, problem: TransientProblem) -> _Found | None:
+    def _solved(self, problem: TransientProblem, expected: int) -> _Found | None:
         """The answer from the smallest problem that has it: without limits, without the temperature, or complete."""
         if problem.reference_is_zero:
             return self._proven(Effect(problem, np.zeros(problem.grid.stages)), Multipliers.zero(problem))
-        small = leave_out(problem).problem
-        bare, hot = without_limits(small), False
-        (linear,) = linear_passes([bare], TOLERANCE)
-        if linear.code in (SOLVED, ACCURACY):
-            free = bare.free_command(linear.command)
-            effect = Effect(problem, free)
-            if inside(problem, free, effect=effect):
-                multipliers = replace(Multipliers.zero(problem), hand_over=bare.hand_over(linear.gradient))
-                found = self._proven(effect, multipliers)
-                if found.proof.accepted:
-                    return found
-            hot = small.thermal is not None and _overheats(effect)
-        return self._limited(problem, small, hot=hot)
+        small, free = leave_out(problem).problem, None
+        if small.thermal is not None or not expected:
+            bare = without_limits(small)
+            (linear,) = linear_passes([bare], TOLERANCE)
+            if linear.code in (SOLVED, ACCURACY):
+                free = Effect(problem, bare.free_command(linear.command))
+                if inside(problem, free.command, effect=free):
+                    multipliers = replace(Multipliers.zero(problem), hand_over=bare.hand_over(linear.gradient))
+                    found = self._proven(free, multipliers)
+                    if found.proof.accepted:
+                        return found
+        return self._limited(problem, small, expected, free)
 
-    def _limited(self, problem: TransientProblem, small: TransientProblem, *, hot: bool) -> _Found | None:
-        """The answer under limits; `hot`, a guess that the temperature binds, sets only the order of attempts."""
+    def _limited(
+        self, problem: TransientProblem, small: TransientProblem, expected: int, free: Effect | None
+    ) -> _Found | None:
+        """The answer under limits.
+
+        Whether the temperature binds, and the last stage at which a limit is `expected` to bind, are guesses: they
+        set only the order of attempts and the length of the first search.
+        """
         cold, found = small.without(TemperatureLimit.name), None
-        attempts = [cold] if small.thermal is None else [small, cold] if hot else [cold, small]
+        hottest = None if small.thermal is None or free is None else _hottest(free)
+        attempts = [cold] if small.thermal is None else [cold, small] if hottest is None else [small, cold]
+        if not expected and free is not None:
+            expected = _last_outside(free, cold)
         for attempt in attempts:
-            answer = self._by_interior_point(attempt)
-            if answer is None:
+            last = expected if attempt.thermal is None else max(expected, hottest or 0)
+            searched = self._searched(problem, attempt, last)
+            if searched is None:
                 continue
-            command, multipliers = answer.command, answer.multipliers
+            effect, multipliers = searched
             if attempt.thermal is not None and multipliers.upper(TEMPERATURE).max() <= BINDING_MULTIPLIER:
                 # The winding does not bind. Without its multipliers the certificate is that of the problem without
                 # it.
-                multipliers = multipliers.with_pair(TEMPERATURE, np.zeros(command.size), np.zeros(command.size))
-            effect = Effect(problem, command)
-            if (
-                attempt is cold
-                and small.thermal is not None
-                and not inside(problem, command, only=TemperatureLimit.name, effect=effect)
-            ):
+                none = np.zeros(effect.command.size)
+                multipliers = multipliers.with_pair(TEMPERATURE, none, none)
+            if attempt is not small and not inside(problem, effect.command, only=TEMPERATURE, effect=effect):
                 continue
             found = self._proven(effect, multipliers)
             if found.proof.accepted:
                 return found
         return found
 
-    def _by_interior_point(self, problem: TransientProblem) -> _Answer | None:
+    def _searched(
+        self, problem: TransientProblem, attempt: TransientProblem, last: int
+    ) -> tuple[Effect, Multipliers] | None:
+        """An attempt's answer: its limits are stated up to a little after `last`, and further if it leaves them."""
+        while True:
+            cut = last + MARGIN
+            if cut > 3 * attempt.free_stages // 4 or (attempt.thermal and attempt.thermal.period_s is not None):
+                cut = 0  # the whole search
+            answer = self._by_interior_point(attempt, cut)
+            if answer is None and not cut:
+                return None
+            last = attempt.free_stages
+            if answer is not None:
+                effect = Effect(problem, answer.command)
+                late = _last_outside(effect, attempt) if cut else -1
+                if late < cut or not cut:
+                    return effect, answer.multipliers
+                last = max(late, 2 * cut)
+
+    def _by_interior_point(self, problem: TransientProblem, cut: int = 0) -> _Answer | None:
         given = _small_enough(stages(problem))
-        (answer,) = interior_points([given], tolerance=TOLERANCE, max_iterations=MOST_ITERATIONS)
+        (answer,) = interior_points([given], tolerance=TOLERANCE, max_iterations=MOST_ITERATIONS, cut=cut)
         if answer.code not in (SOLVED, ACCURACY):
             return None
         by_row = answer.upper - answer.lower
@@ -324,19 +359,34 @@ def _small_enough(given: Stages) -> Stages:
     return given
 
 
-def _overheats(effect: Effect) -> bool:
-    """Whether an unlimited command overheats even with its current clipped: a guess that the limit will bind."""
+def _hottest(effect: Effect) -> int | None:
+    """The stage at which an unlimited command is hottest with its current clipped; None if it keeps the limit.
+
+    A guess that the temperature will bind, and of where.
+    """
     thermal, limit = effect.problem.thermal, effect.problem.limits.input_limit
     assert thermal is not None
     model = thermal.model
+    excess = effect.rise_K[1:, 0] - model.headroom_K
+    if excess.max() > 0:
+        currents = (np.clip(each, -limit, limit) for each in (effect.motion.plant_input, effect.command))
+        excess = model.rise(model.heating.mean_square(*currents))[1:, 0] - model.headroom_K
+    return int(excess.argmax()) if excess.max() > 0 else None
 
-    def too_hot(rise_K: FloatArray) -> bool:
-        return bool((rise_K[1:, 0] > model.headroom_K).any())
 
-    if not too_hot(effect.rise_K):
-        return False
-    currents = (np.clip(each, -limit, limit) for each in (effect.motion.plant_input, effect.command))
-    return too_hot(model.rise(model.heating.mean_square(*currents)))
+def _last_outside(effect: Effect, problem: TransientProblem) -> int:
+    """The last stage at which a command leaves a limit of the problem; -1 if it keeps them all."""
+    boxes = boxes_of(effect.of(problem), Multipliers.zero(problem))
+    return max((int(np.flatnonzero(box.excess > 0).max(initial=-1)) for box in boxes), default=-1)
+
+
+def _last_bound(library: Library) -> NDArray[np.intp]:
+    """(v, g) number of stages up to the last at which a limit binds in each node, 0 where none does."""
+    bound = np.zeros(library.command.shape[:2], dtype=int)
+    stages_of_node = 1 + np.arange(library.command.shape[-1])
+    for multiplier in library.multipliers_of.values():
+        bound = np.maximum(bound, ((multiplier > BINDING_MULTIPLIER) * stages_of_node).max(axis=-1))
+    return bound
 
 
 def _table(limits: Any) -> Mapping[str, float]:

@@ -63,6 +63,41 @@ def test_between_nodes_it_is_the_optimum_of_another_solver(
     assert tap.certificate.objective <= rolled_out + tap.certificate.duality_gap
 
 
+class TestFreshTaps:
+    """Random taps within the grid, against a search that starts from nothing the library knows."""
+
+    def test_they_are_the_designers_optima(self, library: Library, solver: Online) -> None:
+        draws, bound = np.random.default_rng(11), 0
+        for _ in range(12):
+            speed, grip = draws.uniform(0.1, 0.4), draws.uniform(1.0, 5.0)
+            tap = solver.solve(speed, grip)
+            assert tap.certificate is not None, tap.remark
+            problem = solver._posed(library.posing(), speed, grip, library.coil())
+            cold = optimum(problem, SolverOptions())
+            scale = max(cold.certificate.objective, 1e-3)
+            assert abs(tap.certificate.objective - cold.certificate.objective) <= 4e-9 * scale
+            np.testing.assert_allclose(tap.wave.command, cold.solution.command, atol=1e-3)
+            # A certificate that shares no code with the one of the answer.
+            assert certify(problem, tap.wave.command, cold.solution.multipliers).relative_gap <= 1e-6
+            bound += any(side.max() > 1e-9 for pair in cold.solution.multipliers.pairs.values() for side in pair)
+        assert 3 <= bound <= 9  # some are limited, some are not
+
+    @pytest.mark.parametrize("guess", [0, 1, 40, 500])
+    def test_where_a_limit_is_expected_to_bind_changes_no_answer(
+        self, library: Library, solver: Online, monkeypatch: pytest.MonkeyPatch, guess: int
+    ) -> None:
+        taps = [(0.4, 5.0), (0.31, 4.8), (0.12, 1.5)]
+        own = [solver.solve(*tap) for tap in taps]
+        monkeypatch.setattr(solver, "_bound", np.full_like(solver._bound, guess))
+        for tap, known in zip(taps, own, strict=True):
+            found = solver.solve(*tap)
+            assert found.certificate is not None
+            assert known.certificate is not None
+            assert found.certificate.accepted
+            assert found.certificate.objective == pytest.approx(known.certificate.objective, rel=1e-7)
+            np.testing.assert_allclose(found.wave.command, known.wave.command, atol=1e-3)
+
+
 class TestHeat:
     def test_a_hot_start_keeps_the_limit_which_the_blend_leaves(self, library: Library, solver: Online) -> None:
         coil = library.coil()
@@ -87,8 +122,8 @@ class TestHeat:
     ) -> None:
         """The winding binds from one of the starts on; a wrong guess costs time alone."""
         taps = []
-        for guess in (False, True):
-            monkeypatch.setattr(online, "_overheats", lambda effect, guess=guess: guess)
+        for guess in (None, 500):
+            monkeypatch.setattr(online, "_hottest", lambda effect, guess=guess: guess)
             taps.append(solver.solve(0.4, 5.0, start_C, start_C))
         cold, hot = taps
         assert hot.certificate.accepted
@@ -375,7 +410,9 @@ def test_intensity_is_solved_at_the_lam_between_the_nodes(scene: Scene, taps: li
     library = build_library(loud, taps).library
     online = Online(library)
     node = online.solve(0.4, 5.0)
-    np.testing.assert_allclose(node.wave.command, library.command[3, 2], atol=1e-6)
+    assert node.certificate is not None
+    assert node.certificate.objective == pytest.approx(library.objective[3, 2], rel=1e-8)
+    np.testing.assert_allclose(node.wave.command, library.command[3, 2], atol=1e-4)
     for speed_m_s, grip_N in ((0.35, 5.0), (0.33, 2.0)):
         tap = online.solve(speed_m_s, grip_N)
         assert tap.solved, tap.remark

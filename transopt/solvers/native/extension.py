@@ -143,7 +143,10 @@ def of_equal_sizes(given: Sequence[Stages]) -> Iterator[list[int]]:
 
 
 def _answers(method: Any, given: Sequence[Stages], asked: _Options, cut: int = 0) -> list[Answer]:
-    """Answers of `tr_solve` or `tr_linear` to problems of any sizes, in their order; with a `cut`, of `tr_shortened`."""
+    """Answers of `tr_solve` or `tr_linear` to problems of any sizes, in their order.
+
+    With a `cut`, there is one problem, and its answer is that of `tr_shortened`.
+    """
     assert _LIBRARY is not None
     found: dict[int, Answer] = {}
     for group in of_equal_sizes(given):
@@ -170,9 +173,7 @@ def _answers(method: Any, given: Sequence[Stages], asked: _Options, cut: int = 0
     return [found[i] for i in range(len(given))]
 
 
-def interior_points(
-    given: Sequence[Stages], *, tolerance: float, max_iterations: int, cut: int = 0
-) -> list[Answer]:
+def interior_points(given: Sequence[Stages], *, tolerance: float, max_iterations: int, cut: int = 0) -> list[Answer]:
     """Solve problems, those of equal sizes side by side.
 
     Parameters

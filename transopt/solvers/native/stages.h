@@ -1618,6 +1618,7 @@ static int shortened(const tr_problem *q, int cut, const tr_options *options, do
         now = judge(w, 0.0, 0.0);
         if (now.stationarity <= options->tolerance * fmax(now.objective, 1.0)) break;
     }
+    if (!(now.stationarity < INFINITY && now.objective < INFINITY)) return 0;
     /* The rest's cost about the pass's own state x at the cut is |Z x_cut - z|^2 / 2 and a constant. */
     head.constant = now.objective;
     for (int k = 0; k < cut; k++) {

@@ -1,0 +1,129 @@
+"""The search over the stages before a cut: the answer of the whole search wherever no limit binds later."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import problems
+from transopt.design.context import Context
+from transopt.library.library import Library
+from transopt.plant.wall import reference_course
+from transopt.problem.answer import OBJECTIVE_SCALE
+from transopt.problem.problem import TransientProblem
+from transopt.problem.wall_ticks import pressing
+from transopt.proof.certify import certify
+from transopt.proof.effect import Effect
+from transopt.scene.recordings import recordings_of
+from transopt.solvers.native import extension
+from transopt.solvers.prove import certified
+from transopt.solvers.stage_data import stages
+
+pytestmark = pytest.mark.skipif(not extension.available, reason="the extension is not built")
+
+TOLERANCE = 1e-9
+ANSWERED = (extension.SOLVED, extension.ACCURACY)
+SCENES = [
+    path.stem
+    for path in sorted((Path(problems.__file__).parent / "scenes").glob("*.toml"))
+    if path.stem != "measured_impacts"
+]
+
+
+def answer(problem: TransientProblem, cut: int) -> extension.Answer:
+    (found,) = extension.interior_points([stages(problem)], tolerance=TOLERANCE, max_iterations=60, cut=cut)
+    return found
+
+
+def last_bound(found: extension.Answer) -> int:
+    """The last stage with a multiplier of a limit."""
+    return int(np.flatnonzero((found.upper + found.lower).max(axis=1, initial=0.0) > 1e-7).max(initial=0))
+
+
+@pytest.fixture(scope="module")
+def saturated(library: Library) -> TransientProblem:
+    """The fastest and firmest tap of the default scene, whose current is saturated early, with all its limits."""
+    return library.problem(3, 2).without("temperature")
+
+
+@pytest.mark.parametrize("beyond", [3, 40, 300])
+def test_the_answer_is_that_of_the_whole_search(saturated: TransientProblem, beyond: int) -> None:
+    whole = answer(saturated, 0)
+    cut = last_bound(whole) + beyond
+    short = answer(saturated, cut)
+    assert short.code in ANSWERED
+    assert short.objective == pytest.approx(whole.objective, abs=4 * TOLERANCE * max(whole.objective, 1.0))
+    np.testing.assert_allclose(short.command, whole.command, atol=1e-4)
+    # The multipliers of the hand-over are those of the whole problem, which the certificate needs.
+    given = stages(saturated)
+    multipliers = given.multipliers(short.upper - short.lower, short.gradient)
+    assert not any(side[cut:].any() for pair in multipliers.pairs.values() for side in pair)
+    command = given.command(short.command)
+    for proof in (certified(saturated, command, multipliers), certify(saturated, command, multipliers)):
+        assert proof.accepted
+        assert proof.relative_gap < 1e-7
+
+
+def test_a_limit_that_binds_after_the_cut_is_left_and_not_certified(saturated: TransientProblem) -> None:
+    cut = 4
+    assert last_bound(answer(saturated, 0)) > 2 * cut
+    short, given = answer(saturated, cut), stages(saturated)
+    command = given.command(short.command)
+    multipliers = given.multipliers(short.upper - short.lower, short.gradient)
+    assert not certified(saturated, command, multipliers).accepted
+    late = np.abs(Effect(saturated, command).motion.plant_input[cut:])
+    assert late.max() > 1.01 * saturated.limits.input_limit
+
+
+def test_a_binding_temperature(library: Library) -> None:
+    coil = library.coil()
+    assert coil is not None
+    # A cold housing cools the winding, so that its limit binds early.
+    hot = replace(library.posing(), coil=replace(coil, start_winding_C=coil.limit_C - 0.03))
+    problem = hot.problem(library.wanted_of(3, 2), library.stage(2))
+    whole = answer(problem, 0)
+    winding = stages(problem).limits.kinds.index("winding")
+    assert whole.upper[:, winding].max() > 1e-3
+    cut = int(np.flatnonzero(whole.upper[:, winding] > 1e-4 * whole.upper[:, winding].max()).max()) + 30
+    assert cut < problem.free_stages // 2
+    short = answer(problem, cut)
+    assert short.code in ANSWERED
+    assert short.objective == pytest.approx(whole.objective, rel=1e-7)
+    np.testing.assert_allclose(short.command, whole.command, atol=2e-4)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_every_scene(name: str) -> None:
+    """Other states: stiff drives, a wall, an ideal amplifier, voltages, named targets, temperatures, three motors."""
+    scene = problems.load(name)
+    context, (speed_m_s, target) = Context.recorded(scene, recordings_of(scene)), scene.axes.rows[-1]
+    problem = context.posed(speed_m_s, scene.grid.grips_N[-1], target).problem
+    if problem.wall is not None:
+        problem = pressing(problem, reference_course(problem.grid, problem.target.continued_m_s2))
+    if problem.thermal is not None and problem.thermal.period_s is not None:
+        assert answer(problem, 20).code not in ANSWERED  # taps that repeat are left to the whole search
+        problem = problem.without("temperature")
+    whole = answer(problem, 0)
+    cut = min(last_bound(whole) + 20, problem.free_stages)
+    short, given = answer(problem, cut), stages(problem)
+    assert short.code in ANSWERED
+    command = given.command(short.command)
+    proof = certified(problem, command, given.multipliers(short.upper - short.lower, short.gradient))
+    assert proof.is_stationary
+    assert proof.objective == pytest.approx(whole.objective * OBJECTIVE_SCALE, rel=1e-6, abs=1e-9)
+
+
+def test_a_cut_in_the_hand_over_is_refused(saturated: TransientProblem) -> None:
+    assert answer(saturated, saturated.free_stages).code in ANSWERED
+    assert answer(saturated, saturated.free_stages + 1).code not in ANSWERED
+
+
+def test_what_is_not_finite_is_no_answer(saturated: TransientProblem) -> None:
+    given = stages(saturated)
+    for name in ("reference", "A", "end_gain"):
+        array = given.arrays[name].copy()
+        array.flat[array.size // 2] = np.nan
+        broken = replace(given, arrays=given.arrays | {name: array})
+        (found,) = extension.interior_points([broken], tolerance=TOLERANCE, max_iterations=60, cut=50)
+        assert found.code not in ANSWERED
