@@ -118,9 +118,10 @@ def written(stages: Stages) -> bytes:
 
 
 def solving(given: Sequence[Stages]) -> str:
-    """The flag that compiles the sizes of these problems only, which saves most of the compilation time."""
+    """The flag that compiles the lengths of these problems' rows only, which saves most of the compilation time."""
     sizes = sorted({tuple(stages.sizes[name] for name in ("states", "motors", "nodes")) for stages in given})
-    return "-DSOLVES(n,m,t)=(" + "||".join("((n)=={}&&(m)=={}&&(t)=={})".format(*each) for each in sizes) + ")"
+    each = ("((ld)==BLOCKS({})*PER&&(m)=={}&&(t)=={})".format(*size) for size in sizes)
+    return "-DSOLVES(ld,m,t)=(" + "||".join(each) + ")"
 
 
 def expected(stages: Stages) -> list[list[float]]:

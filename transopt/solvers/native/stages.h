@@ -511,8 +511,9 @@ ALWAYS_INLINE void flow_back(const int first, const int motors, const int blocks
 ALWAYS_INLINE void push_back(const int n, const int motors, const int blocks, const tr_work *w, const lanes *restrict P,
                              lanes *restrict pushed)
 {
+    const int rows = ENTRIES > 1 ? n : blocks * PER; /* those of the padding are zero, and their number is known */
     memset(pushed, 0, (size_t)(motors * blocks) * sizeof(lanes));
-    for (int i = 0; i < n; i++) {
+    for (int i = 0; i < rows; i++) {
         number by[MOST_MOTORS], rest[MOST_MOTORS] = {0}; /* of the row, which is not computed beyond its diagonal */
         const lanes *row = P + i * blocks;
         for (int c = 0; c < motors; c++) by[c] = AT(w->push + c * blocks, i);
@@ -1005,43 +1006,46 @@ ALWAYS_INLINE void forward_sized(const int n, const int motors, const int t, con
     for (int i = 0; i < t; i++) w->th_end[i] = th[i];
 }
 
-/* Sizes that are known when compiled keep their rows in registers. A program that solves few problems, such as one for
- * sanitizers, may say which sizes it SOLVES: the others are then left to the code for any size.
+/* Where the length of a row of states is known when compiled, rows stay in registers: few lengths serve all numbers of
+ * states. Side by side a row has no padding, and the number is known with it. Registers of eight are for the lengths
+ * that fill them. A program that solves few problems, such as one for sanitizers, may say which lengths it SOLVES: the
+ * others are then left to the code for any.
  */
 #if !defined(SOLVES)
-#define SOLVES(n, motors, t) 1
+#define SOLVES(ld, motors, t) 1
 #endif
-#define OF_SIZE(n, motors, t, call)     \
-    if (SOLVES(n, motors, t)) {         \
-        call(n, motors, t, BLOCKS(n));  \
-    }                                   \
+#define KNOWN_STATES(ld) (ENTRIES > 1 ? (ld) : w->q->states)
+#define OF_LENGTH(ld, motors, t, call)                               \
+    if (SOLVES(ld, motors, t) && KNOWN_STATES(ld) == w->q->states) { \
+        call(KNOWN_STATES(ld), motors, t, (ld) / PER);               \
+    }                                                                \
     break
 #if ENTRIES > 1
-#define KNOWN_SIZES(call)                       \
-    case 1006: OF_SIZE(6, 1, 0, call);          \
-    case 1008: OF_SIZE(8, 1, 0, call);          \
-    case 1010: OF_SIZE(10, 1, 0, call);         \
-    case 3030: OF_SIZE(30, 3, 0, call)
+#define KNOWN_LENGTHS(call)               \
+    case 1006: OF_LENGTH(6, 1, 0, call);  \
+    case 1008: OF_LENGTH(8, 1, 0, call);  \
+    case 1010: OF_LENGTH(10, 1, 0, call); \
+    case 3030: OF_LENGTH(30, 3, 0, call)
+#elif WIDTH > 4
+#define KNOWN_LENGTHS(call)               \
+    case 1008: OF_LENGTH(8, 1, 0, call);  \
+    case 1108: OF_LENGTH(8, 1, 1, call);  \
+    case 1208: OF_LENGTH(8, 1, 2, call);  \
+    case 1216: OF_LENGTH(16, 1, 2, call)
 #else
-#define KNOWN_SIZES(call)                       \
-    case 1004: OF_SIZE(4, 1, 0, call);          \
-    case 1005: OF_SIZE(5, 1, 0, call);          \
-    case 1006: OF_SIZE(6, 1, 0, call);          \
-    case 1007: OF_SIZE(7, 1, 0, call);          \
-    case 1008: OF_SIZE(8, 1, 0, call);          \
-    case 1009: OF_SIZE(9, 1, 0, call);          \
-    case 1010: OF_SIZE(10, 1, 0, call);         \
-    case 1011: OF_SIZE(11, 1, 0, call);         \
-    case 1012: OF_SIZE(12, 1, 0, call);         \
-    case 1108: OF_SIZE(8, 1, 1, call);          \
-    case 1110: OF_SIZE(10, 1, 1, call);         \
-    case 1208: OF_SIZE(8, 1, 2, call);          \
-    case 1210: OF_SIZE(10, 1, 2, call);         \
-    case 1214: OF_SIZE(14, 1, 2, call)
+#define KNOWN_LENGTHS(call)               \
+    case 1004: OF_LENGTH(4, 1, 0, call);  \
+    case 1008: OF_LENGTH(8, 1, 0, call);  \
+    case 1012: OF_LENGTH(12, 1, 0, call); \
+    case 1108: OF_LENGTH(8, 1, 1, call);  \
+    case 1112: OF_LENGTH(12, 1, 1, call); \
+    case 1208: OF_LENGTH(8, 1, 2, call);  \
+    case 1212: OF_LENGTH(12, 1, 2, call); \
+    case 1216: OF_LENGTH(16, 1, 2, call)
 #endif
-#define BY_SIZE(call)                                                 \
-    switch (w->q->motors * 1000 + w->q->nodes * 100 + w->q->states) { \
-    KNOWN_SIZES(call);                                                \
+#define BY_LENGTH(call)                                              \
+    switch (w->q->motors * 1000 + NODES(w->q) * 100 + w->ld) {       \
+    KNOWN_LENGTHS(call);                                             \
     }
 /* Each for any number of states is a function of its own, whose registers the compiler assigns without regard to others. */
 #define OF_ANY_SIZE(type, name, parameters, call)                                                           \
@@ -1058,7 +1062,7 @@ OF_ANY_SIZE(int, factor, (tr_work *w, int curved, const number *end), FACTOR)
 
 static int factor(tr_work *w, int curved, const number *end)
 {
-    BY_SIZE(FACTOR)
+    BY_LENGTH(FACTOR)
     return ANY_SIZE(factor)(w, curved, end);
 }
 
@@ -1067,7 +1071,7 @@ OF_ANY_SIZE(void, backward,
 
 static void backward(tr_work *w, const number *end, int own, number *offset, number *offset_e, int newton)
 {
-    BY_SIZE(BACKWARD)
+    BY_LENGTH(BACKWARD)
     ANY_SIZE(backward)(w, end, own, offset, offset_e, newton);
 }
 
@@ -1076,7 +1080,7 @@ OF_ANY_SIZE(void, forward,
 
 static void forward(tr_work *w, const number *start, const number *offset, const number *offset_e, int full)
 {
-    BY_SIZE(FORWARD)
+    BY_LENGTH(FORWARD)
     ANY_SIZE(forward)(w, start, offset, offset_e, full);
 }
 
