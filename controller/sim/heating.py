@@ -44,6 +44,9 @@ def heat_record(
 ) -> dict[str, FloatArray]:
     """Simulate a constant current from rest, then no current, and measure winding and housing with noise.
 
+    At rest winding and housing are at the ambient temperature, however hot the coil's own taps begin: a record without
+    the ambient beside it must begin cold for `transopt identify coil`.
+
     Parameters
     ----------
     model : the true coil.
@@ -61,7 +64,8 @@ def heat_record(
     rows = round((heating_s + cooling_s) / every_s) + 1
     current = np.where(np.arange(rows) < round(heating_s / every_s), current_A, 0.0)
     steps = max(round(every_s / STEP_S), 1)
-    coil, winding, housing = Coil(model), np.empty(rows), np.empty(rows)
+    cold = replace(model, start_winding_C=model.ambient_C, start_housing_C=model.ambient_C)
+    coil, winding, housing = Coil(cold), np.empty(rows), np.empty(rows)
     for k, square in enumerate(effective_square(current, model.ripple_A).tolist()):
         winding[k], housing[k] = coil.winding_C, coil.housing_C
         if coil.winding_C > model.limit_C:
