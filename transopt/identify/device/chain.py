@@ -18,11 +18,14 @@ from transopt.identify.likelihood import Likelihood, Maximum
 from transopt.identify.spectrum import TransferEstimate
 from transopt.plant.chain import Link, chain
 from transopt.plant.state_space import StateSpace
+from transopt.scene.plausible import PLAUSIBLE
 
 SHARED = ("moving_mass_kg", "stylus_mass_kg", "transmission_stiffness_N_m", "transmission_damping_N_s_m")
 HAND = ("mass_kg", "skin_stiffness_N_m", "skin_damping_N_s_m", "arm_stiffness_N_m", "arm_damping_N_s_m")
 STYLUS = 1  # index of the stylus among the masses
 RANGE = 1e3  # every parameter of the chain stays within this factor of its start
+# A fit may end at its bound; the margin keeps that number plausible where it is rounded.
+LEAST_KG = {name: PLAUSIBLE[name][0] * (1 + 1e-9) for name in ("moving_mass_kg", "stylus_mass_kg", "hand.mass_kg")}
 UNITS = {"mass_kg": "kg", "stiffness_N_m": "N/m", "damping_N_s_m": "N s/m"}
 
 
@@ -313,9 +316,17 @@ class ChainSearch:
         self._coordinates, self._free, self._rate = coordinates, free, 1 / instrument.dt_s
 
     def bounds(self, start: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper bounds (p,) of the unknowns."""
+        """Lower and upper bounds (p,) of the unknowns.
+
+        A mass that the records do not show, as where stylus and hand move as one, falls until a bound stops it. It
+        must end at what a device can have: one of a microgram under the same damping is too stiff to be simulated.
+        """
         size, rate = self._coordinates.size, self._rate
         low, high = start - np.log(RANGE), start + np.log(RANGE)
+        for j, name in enumerate(self._coordinates.names):
+            least_kg = LEAST_KG.get(name.partition(" at ")[0])
+            if least_kg is not None and start[j] >= np.log(least_kg):
+                low[j] = max(low[j], np.log(least_kg))
         low[size:] = [np.log(1e-3 * rate), 0.0, -np.log(20.0), np.log(0.01 * rate), -20.0, -np.log(20.0)]
         high[size:] = [np.log(2 * rate), 20.0, np.log(20.0), np.log(2 * rate), 20.0, np.log(20.0)]
         return low, high

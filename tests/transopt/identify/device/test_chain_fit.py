@@ -9,8 +9,9 @@ import pytest
 from tests.benches.identification import DEFAULT, mismatched
 from tests.transopt.identify.device.conftest import INSTRUMENT, Respond
 from transopt.base.errors import InputError
-from transopt.identify.device.chain import DriveChain
+from transopt.identify.device.chain import ChainSearch, Coordinates, DriveChain, unknowns_of
 from transopt.identify.device.chain_fit import ChainFit, GripResponse, fit_chain, fit_per_grip, refit, scaled_to
+from transopt.identify.device.response import INSTRUMENT as INSTRUMENT_UNKNOWNS
 
 GRIPS_N = (0.0, 1.0, 3.0, 5.0)
 Measured = Callable[..., list[GripResponse]]
@@ -53,6 +54,21 @@ def test_without_noise_the_device_itself_is_found(measured: Measured) -> None:
         np.testing.assert_allclose(fit.device.hand_at(grip), truth.hand_at(grip), rtol=1e-3)
     assert fit.at_bounds == ()
     assert fit.starts == 1  # what is explained is sought no further
+
+
+def test_a_mass_that_no_record_shows_stops_at_what_a_device_can_have(measured: Measured) -> None:
+    """A search that begins at the end of another goes no further: masses of micrograms are too stiff to simulate."""
+    coordinates = Coordinates((1.0, 5.0))
+    free = np.ones(coordinates.size + len(INSTRUMENT_UNKNOWNS), dtype=bool)
+    search = ChainSearch(measured(DEFAULT, (1.0, 5.0)), coordinates, INSTRUMENT, 1.25, free)
+    masses = ["mass_kg" in name for name in coordinates.names]
+    first = np.concatenate([coordinates.of(DEFAULT), unknowns_of(INSTRUMENT)])
+    low, _ = search.bounds(first)
+    again, _ = search.bounds(low)
+    least = np.exp(again[: coordinates.size][masses])
+    np.testing.assert_allclose(least, [1e-5, 2e-4, 2e-4, 2e-4], rtol=1e-6)
+    smaller = low - 1.0  # whoever begins there, since the unit of force makes all masses small, may go on
+    assert np.all(search.bounds(smaller)[0][: coordinates.size] < smaller[: coordinates.size])
 
 
 def test_a_device_ten_times_as_heavy_is_found_from_the_nominal_one(measured: Measured) -> None:
