@@ -219,6 +219,8 @@ def _numbers(table: Any, path: str = "", names: str = "") -> Iterator[tuple[str,
         kind = table.get("kind")
         inside = f"{kind}." if isinstance(kind, str) else names and f"{names}."
         for key, value in table.items():
+            if key == "intervals":  # how well an identified parameter is known, not what it is
+                continue
             if key == "constant":  # the value at zero grip of a parameter that is linear in grip
                 yield from _numbers(value, path, names)
             else:

@@ -174,3 +174,11 @@ def test_python_is_told_as_well(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="4000 mA, which is 4 A"):
         load_scene(wrong)
     assert not implausible(with_values(load_scene(WOOD), {"limits.current_A": 5.0}).model_dump())
+
+
+def test_how_well_a_mass_is_known_is_no_mass() -> None:
+    drive = {"kind": "drive", "stylus_mass_kg": 0.02, "intervals": {"stylus_mass_kg": [1e-7, 0.1]}}
+    assert not implausible({"model": {"kind": "identified", "device": drive}})
+    drive["stylus_mass_kg"] = 1e-7
+    (wrong,) = implausible({"model": {"kind": "identified", "device": drive}})
+    assert wrong.startswith("model.device.stylus_mass_kg = 1e-07 kg: ")
