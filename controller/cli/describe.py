@@ -3,6 +3,7 @@
 Also how every other command finds the device that it is about.
 """
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -52,9 +53,10 @@ def new(
     offered = find(like).device
     described = offered if defaults else DeviceFile.model_validate(_asked(offered))
     write_device(file, described, "What this device is; every command of transopt-play reads it.")
+    named = shlex.quote(str(file))
     terminal.console().print(
-        f"{file}: written\nnext: transopt-play zero --device {file} --port PORT, then "
-        f"transopt-play check --device {file} --port PORT --sweep"
+        f"{file}: written\nnext: transopt-play zero --device {named} --port PORT, then "
+        f"transopt-play check --device {named} --port PORT --sweep"
     )
 
 
@@ -118,10 +120,11 @@ def circuit(
     console = terminal.console()
     console.print(table)
     header, _, offered = written
+    device = shlex.quote(str(file.with_name("device.toml")))
     console.print(
         f"written: {', '.join(map(str, written))}\n"
         f"next: put {header.name} beside the sketch and flash it, then "
-        f"transopt-play device new {file.with_name('device.toml')} --from {offered}"
+        f"transopt-play device new {device} --from {shlex.quote(str(offered))}"
     )
 
 

@@ -1,5 +1,6 @@
 """What the commands of `transopt-play` and `transopt-device` ask of their options, and the options several share."""
 
+import shlex
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -46,6 +47,7 @@ DeviceName = Annotated[
         "the built-in device.",
     ),
 ]
+DEFAULT_SCENE = "wood_on_foam"  # of a true device that is not named
 TrueDeviceName = Annotated[
     str | None,
     with_simulate(
@@ -137,3 +139,13 @@ def imperfect(mismatch: float, seed: int, crossover: float) -> "Imperfections":
     within("crossover", crossover, 0.0, 1.0, " A")
     within("seed", seed, 0, 2**63 - 1)
     return Imperfections(mismatch=mismatch, crossover_A=crossover)
+
+
+def of_scene(named: str | None) -> str:
+    """The option by which `transopt identify` takes motor and amplifier of the scene whose device was recorded.
+
+    Empty for the default scene, and for a library, which is no scene.
+    """
+    if named in (None, DEFAULT_SCENE) or Path(named).suffix.lower() == ".npz":
+        return ""
+    return f" --scene {shlex.quote(named)}"

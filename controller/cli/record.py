@@ -3,12 +3,14 @@
 Heavy imports stand inside the commands, so that help and errors come at once.
 """
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from controller.cli.options import (
+    DEFAULT_SCENE,
     ON_THE_SIMULATOR,
     AnyPort,
     Crossover,
@@ -24,6 +26,7 @@ from controller.cli.options import (
     imperfect,
     is_simulated,
     numbers,
+    of_scene,
     one_of,
     with_port,
     with_simulate,
@@ -37,7 +40,6 @@ record_app = typer.Typer(
     help="Record what a device's sensors say.",
     epilog="Example: transopt-play record sweep --simulate --out sweeps",
 )
-DEFAULT_SCENE = "wood_on_foam"
 MOST_HEAT_S = 24 * 3600.0
 
 Folder = Annotated[Path, typer.Option(help="Folder for the recordings; must hold none yet.")]
@@ -116,9 +118,7 @@ def record_sweep(
     found = described(device, library, quiet=simulated)
     if simulated:
         wrong = sensing(found, imperfect(mismatch, seed, crossover))
-        bench, series = simulated_series(
-            out, planned, scene or DEFAULT_SCENE, wrong, seed, gain, patience, found.device
-        )
+        bench, series = simulated_series(out, planned, scene, wrong, seed, gain, patience, found.device)
         record_sweeps(bench, series)
         return
     from controller.cli.port import person_at
@@ -260,8 +260,11 @@ def record_heat(
     truth = scene_like(scene or DEFAULT_SCENE)
     coil, limits = truth.coil(), truth.limits
     if coil is None:
-        raise InputError(f"record heat: {truth.name} states no motor, so no coil; give another --true-device")
-    amount = 0.9 * limits.steady_input if current is None else current
+        raise InputError(
+            f"record heat: {truth.name}: a current drives no winding with thermal data; give another --true-device"
+        )
+    continuous = min(limits.steady_input, coil.continuous_current_A() - coil.ripple_A)  # the ripple heats beside it
+    amount = 0.9 * continuous if current is None else current
     within("current", amount, 0.0, limits.transient_input, " A")
     terminal.make_folder(out)
     refuse_old(out, ["heat.npz"])
@@ -270,5 +273,6 @@ def record_heat(
     write_measurement(out / "heat.npz", columns, {})
     terminal.console().print(
         f"{out}: heat.npz, {heating:g} s at {amount:g} A and {cooling:g} s of cooling, winding at most "
-        f"{columns['winding_C'].max():.1f} °C\nnext: transopt identify coil {out}/heat.npz --out MODEL.json"
+        f"{columns['winding_C'].max():.1f} °C\n"
+        f"next: transopt identify coil {shlex.quote(f'{out}/heat.npz')}{of_scene(scene)} --out MODEL.json"
     )

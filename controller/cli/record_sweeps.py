@@ -1,6 +1,7 @@
 """`transopt-play record sweep`: trials of an excitation on a device of any kind, to files that `transopt` reads."""
 
 import itertools
+import shlex
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -9,6 +10,7 @@ from pathlib import Path
 import typer
 
 from controller.cli.bench import Bench, holding_bench
+from controller.cli.options import DEFAULT_SCENE, of_scene
 from controller.cli.port import STOPPED, StoppedError, connected, disarmed_by_ctrl_c, load, no_long_pauses
 from controller.cli.tables import sweep_table
 from controller.device.device_file import BUILT_IN, DeviceFile
@@ -147,7 +149,7 @@ def record_sweeps(bench: Bench, series: Series) -> None:
 def simulated_series(
     out: Path,
     planned: Sequence[PlannedSweep],
-    scene: str,
+    scene: str | None,
     wrong: Imperfections,
     seed: int,
     gain: float | None,
@@ -160,14 +162,15 @@ def simulated_series(
     ------
     InputError : no such scene, or a trial of this name is there.
     """
-    truth, purpose = scene_like(scene), planned[0].purpose.value
+    truth, purpose = scene_like(scene or DEFAULT_SCENE), planned[0].purpose.value
     terminal.make_folder(out)
     names = [trial.file_name for trial in planned]
     refuse_old(out, names)
     counts = Counter(trial.shape for trial in planned)
     words = f"{counts[Shape.SWEEP]} sweeps of {planned[0].seconds:g} s"
     words += "".join(f", {counts[shape]} {shape.value}s" for shape in (Shape.TAP, Shape.MULTISINE) if counts[shape])
-    larger = ""
+    files = f"{shlex.quote(str(out))}/{purpose}_*.npz"
+    like, larger = of_scene(scene) if purpose == "device" else "", ""
     if purpose == "device" and not counts[Shape.TAP]:
         larger = (
             f"\nno current above {planned[0].amplitude_A:g} A was recorded: --tap-current adds taps at the current "
@@ -180,7 +183,7 @@ def simulated_series(
         lambda _: settings,
         closing=(
             f"{out}: {words}, {names[0]} to {names[-1]}\n"
-            f"next: transopt identify {purpose} {out}/{purpose}_*.npz --out MODEL.json{larger}"
+            f"next: transopt identify {purpose} {files}{like} --out MODEL.json{larger}"
         ),
         gain=gain,
         device=device,

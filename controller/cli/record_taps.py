@@ -1,5 +1,6 @@
 """`transopt-play record tap`: taps on a real object or of a library, by a person or by a simulated hand."""
 
+import shlex
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -188,10 +189,11 @@ def taps_on_object(wanted: Wanted, scene: str, trigger_g: float, force_noise_N: 
             trigger_m_s2=trigger_g * STANDARD_GRAVITY_M_S2,
             more=force,
         )
+    files = f"{shlex.quote(str(wanted.out))}/tap_*.npz"
     taps.tell(
         f"nothing above {trigger_g:g} g (--trigger)",
-        f"transopt taps {wanted.out}/tap_*.npz, and with 12 taps or more at several --grips "
-        f"transopt identify hand {wanted.out}/tap_*.npz --out MODEL.json",
+        f"transopt taps {files}, and with 12 taps or more at several --grips "
+        f"transopt identify hand {files} --out MODEL.json",
     )
 
 

@@ -1,5 +1,6 @@
 """`transopt-play refine --from-files`: one step of learning from taps that another firmware played and recorded."""
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -70,7 +71,7 @@ def step(
         wanted = ", ".join(place(library, node) for node in learner.asked)
         terminal.console().print(
             f"next: play {written} and record {taps} taps at each of: {wanted}; then\n"
-            f"transopt-play refine {written} --from-files TAPS... --out ANOTHER_FOLDER"
+            f"transopt-play refine {shlex.quote(str(written))} --from-files TAPS... --out ANOTHER_FOLDER"
         )
         return
     finish(Refined.of(library, learner), path, out)

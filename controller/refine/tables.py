@@ -2,6 +2,7 @@
 
 from collections import Counter
 from pathlib import Path
+from shlex import quote
 
 import numpy as np
 
@@ -128,8 +129,9 @@ def summary(refined: Refined, written: Path) -> tuple[str, bool]:
     limit = refined.before.input_limit
     peaks = [one.tapped.peak_current_A for results in history.played for one in results.values()]
     held = "" if np.isnan(peaks).all() else f"; at most {np.nanmax(peaks):.3f} A of {limit:g} A"
+    checked = quote(str(written))
     return (
         f"{len(better)} of {_nodes(len(nodes_of(refined.before)))} refined, confirmed by new taps: playback error "
-        f"{100 * first:.2f} % to {100 * last:.2f} % on average{held}; check it: transopt verify {written}",
+        f"{100 * first:.2f} % to {100 * last:.2f} % on average{held}; check it: transopt verify {checked}",
         True,
     )

@@ -44,8 +44,8 @@ def heat_record(
 ) -> dict[str, FloatArray]:
     """Simulate a constant current from rest, then no current, and measure winding and housing with noise.
 
-    At rest winding and housing are at the ambient temperature, however hot the coil's own taps begin: a record without
-    the ambient beside it must begin cold for `transopt identify coil`.
+    At rest winding and housing are at the ambient temperature, however hot the coil is when a tap begins: a record
+    without the ambient beside it must begin cold for `transopt identify coil`.
 
     Parameters
     ----------

@@ -118,7 +118,9 @@ def next_step(out: Path, scene: str | None = None) -> str:
 
     model = load_model(out)
     if model.device is None and model.hand is None:
-        return f"next: transopt identify device SWEEPS --out {out} (a scene needs a device or a hand)"
+        return (
+            f"next: transopt identify device SWEEPS --out {shlex.quote(str(out))} (a scene needs a device or a hand)"
+        )
     words = ["transopt", "solve", *([] if scene is None else [scene]), "--model", str(out)]
     return (
         f"next: {shlex.join(words)}\n"

@@ -1,12 +1,13 @@
 """`transopt-play record --simulate`: the recorder of any port, on a simulated device in a simulated hand."""
 
+import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from controller.sim.sensors import SEED_SENSORS
-from tests.benches.commands import Run, assert_refused
+from tests.benches.commands import Run, assert_refused, captured
 from transopt.identify.hand.tap import usable_taps
 from transopt.identify.measurement import load_measurement
 from transopt.recordings.recording import load_recording
@@ -147,3 +148,23 @@ def test_heat(play: Run) -> None:
     )
     assert outcome.code == 0, outcome.err
     assert load_measurement(Path("h/heat.npz")).require("winding", "").values.size == 91
+
+
+@pytest.mark.parametrize("motor_of", ["wood_on_foam", "hot_coil", "small_coil"])
+def test_the_command_that_a_heating_record_prints_finds_the_coil(play: Run, motor_of: str) -> None:
+    """Also where taps begin on a hot coil, and where the motor is another than the default one."""
+    short = ("--heating", 900, "--cooling", 600, "--every", 0.4)
+    outcome = play("record", "heat", "--simulate", *short, "--true-device", motor_of, "--out", "my heat")
+    assert outcome.code == 0, outcome.err
+    found = captured(*shlex.split(outcome.out.split("next: ")[1]))
+    assert found.code == 0, found.out + found.err
+    assert "verdict: supports temperature limits" in found.out
+
+
+def test_the_command_that_sweeps_print_names_their_files_and_their_scene(play: Run) -> None:
+    sweep = ("record", "sweep", "--simulate", "--trials", 1, "--seconds", 0.2, "--low", 20, "--grips", 3)
+    for scene, named in (("wood_on_foam", []), ("second_order", ["--scene", "second_order"])):
+        outcome = play(*sweep, "--true-device", scene, "--out", f"of {scene}")
+        assert outcome.code == 0, outcome.err
+        words = shlex.split(outcome.out.split("next: ")[1].splitlines()[0])
+        assert words == ["transopt", "identify", "device", f"of {scene}/device_*.npz", *named, "--out", "MODEL.json"]
