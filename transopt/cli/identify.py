@@ -69,6 +69,7 @@ def identify_hand(
     columns: Columns = "",
     units: Units = "",
     rate_Hz: RateHz = None,
+    accept: Annotated[bool, typer.Option("--accept", help="Take a mass that few hands have as it is.")] = False,
 ) -> None:
     """Mass, damping and stiffness of the hand over grip from taps.
 
@@ -91,7 +92,7 @@ def identify_hand(
     with progress() as step:
         step("fitting")
         taps, left_out = usable_taps(runs, window)
-        fit = fit_hand(taps)
+        fit = fit_hand(taps, accept=accept)
         fourth = fit_fourth_order(taps, fit)
     tell(fits.line_table(fit), fits.fourth_order_table(fourth))
     tell(*(f"{one.name}: {one.note}" for one in taps if one.note))

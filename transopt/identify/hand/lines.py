@@ -154,7 +154,7 @@ class HandFit(Fit):
         return float(self.grips_N[groups[int(np.argmax(off))]].mean())
 
 
-def fit_hand(taps: Sequence[HandTap], *, resamples: int = RESAMPLES, seed: int = 0) -> HandFit:
+def fit_hand(taps: Sequence[HandTap], *, resamples: int = RESAMPLES, seed: int = 0, accept: bool = False) -> HandFit:
     """Fit each tap by itself, then lines over grip; intervals by resampling trials.
 
     Trials, not residuals, are resampled: hands vary more than sensors err, and not equally at every grip. The
@@ -165,10 +165,11 @@ def fit_hand(taps: Sequence[HandTap], *, resamples: int = RESAMPLES, seed: int =
     ----------
     resamples : number of bootstrap samples.
     seed : seed of their draw.
+    accept : take a mass that few hands have, as that of two fingertips on a light stylus.
 
     Raises
     ------
-    InputError : too few taps or grips, or a mass that no hand has.
+    InputError : too few taps or grips, or a mass that few hands have unless accepted.
     """
     grips = np.array([tap.grip_N for tap in taps])
     if len(taps) < LEAST_TRIALS:
@@ -185,7 +186,8 @@ def fit_hand(taps: Sequence[HandTap], *, resamples: int = RESAMPLES, seed: int =
         )
     fits = tuple(fit_tap(tap) for tap in taps)
     values = np.array([[getattr(fit, quantity) for fit in fits] for quantity in QUANTITIES])  # (3, T)
-    _check_mass(float(np.median(values[0])))
+    if not accept:
+        _check_mass(float(np.median(values[0])))
 
     coefficients, covariances = _lines(grips, values, np.ones(len(taps)))
     random = np.random.default_rng(seed)
@@ -307,4 +309,6 @@ def _check_mass(median_kg: float) -> None:
     remedy = (
         "is force in kgf, its column named force_N?" if median_kg < low else "was force multiplied by 9.81 twice?"
     )
-    raise InputError(f"{found}; {remedy} Check the units of force and acceleration")
+    raise InputError(
+        f"{found}; {remedy} Check the units of force and acceleration; if they are right, --accept takes it"
+    )

@@ -199,6 +199,15 @@ def test_forces_off_by_gravity_are_named(cut_taps: list[HandTap], factor: float,
         fit_hand([replace(tap, force_N=factor * tap.force_N) for tap in cut_taps])
 
 
+def test_a_light_hand_is_taken_where_the_message_says(cut_taps: list[HandTap]) -> None:
+    """Two fingertips on a light stylus have less than 0.03 kg, as the taps of another unit seem to."""
+    light = [replace(tap, force_N=tap.force_N / G) for tap in cut_taps]
+    with pytest.raises(InputError, match=r"if they are right, --accept takes it"):
+        fit_hand(light)
+    mass = fit_hand(light, resamples=20, accept=True).lines[0].line.constant
+    assert mass == pytest.approx(fit_hand(cut_taps, resamples=20).lines[0].line.constant / G, rel=0.01)
+
+
 # ------------------------------------------------------------------------------------------------ fourth order
 
 
