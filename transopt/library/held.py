@@ -91,7 +91,8 @@ class Held:
     direction_rad: FloatArray = kept("vg", "rad",
         "angle by which that error turns the acceleration, by the sizes of both", "direction_rad", replayed=True,
         needs="several directions")
-    floor: FloatArray = kept("vg", "", "tap error of the optimum without limits", "floor")
+    floor: FloatArray = kept("vg", "",
+        "tap error of the optimum without limits; NaN where that was not found", "floor", may_be_nan=True)
     linear_command: FloatArray = kept("vgN", INPUT, "command designed for the plant linearised at rest",
         lambda entry: np.zeros(entry.problem.grid.stages) if entry.linear_command is None else entry.linear_command,
         needs="nonlinear")

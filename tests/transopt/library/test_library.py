@@ -249,6 +249,14 @@ class TestRefusals:
         with pytest.raises(InputError, match=message):
             load_library(rewritten(saved, **{name: change(library.array(name))}))
 
+    def test_a_floor_that_was_not_found_is_no_obstacle(self, saved: Path, library: Library) -> None:
+        """The optimum without limits may stay unknown where those under the limits are proven."""
+        unknown = library.floor.copy()
+        unknown[0, 1] = np.nan
+        again = load_library(rewritten(saved, floor=unknown))
+        np.testing.assert_array_equal(again.floor, unknown)
+        assert not any(entry.shortfalls for entry in verify_library(again))
+
     @pytest.mark.parametrize(("change", "words"), [*SCENES, *LACKING, *FORMS])
     def test_meta_that_cannot_be(
         self, saved: Path, library: Library, change: Callable[[Meta], Meta], words: str
