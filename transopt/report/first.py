@@ -23,6 +23,7 @@ from transopt.design.price import Price, library_prices
 from transopt.library.columns import NAN, Row
 from transopt.library.library import Library
 from transopt.problem.answer import END_OF_LIMIT_NAME, MIN_FLOOR_OF_PUSHING_HAND, held_back
+from transopt.problem.warm_coil import WarmCoil
 from transopt.scene.scene import Scene
 
 POOR = 0.5  # a larger tap error is poor: half of the tap is missing
@@ -298,12 +299,17 @@ def lines(source: Build | Library | None, look: Look, width: int) -> list[tuple[
 
 
 def next_commands(library: Path, scene: Scene) -> list[str]:
-    """Three commands for a library file: details, a driver's file or simulated tap, and the page or a check."""
-    file = shlex.quote(str(library))
+    """Commands for a library file: details, a driver's file or simulated tap, and the page or a check.
+
+    No tap is proposed where the scene's coil begins so warm that a device withholds every transient.
+    """
+    file, coil = shlex.quote(str(library)), scene.coil()
     heard = f"transopt-play tap {file} --simulate"
+    if coil is not None and coil.start_winding_C >= WarmCoil.of(coil.on_a_device(), scene.time.dt_s).play_limit_C:
+        heard = f"transopt verify {file}"
     if scene.targets:
         heard = f"transopt export {file} drive.wav --drive"
     if scene.shares:
         heard = f"transopt export {file} motors.h"
     last = "verify" if scene.nonlinear or scene.shares else "page"  # `page` is for linear plants with one motor
-    return [f"transopt show {file} --table", heard, f"transopt {last} {file}"]
+    return list(dict.fromkeys([f"transopt show {file} --table", heard, f"transopt {last} {file}"]))

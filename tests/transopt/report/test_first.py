@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import transopt as to
 from transopt.base.axes import Axes
 from transopt.design.price import Price
 from transopt.library.columns import TableRow
-from transopt.report.first import MOST_ROWS, Look, head, lines, matrix, worst_line
+from transopt.report.first import MOST_ROWS, Look, head, lines, matrix, next_commands, worst_line
 from transopt.scene.keys import with_values
 
 FINE, WEAK = "felt within 1.6 dB", "too weak by 2.4 dB, most at 160 Hz; held back by current"
@@ -133,3 +134,10 @@ def test_build_and_library_say_the_same() -> None:
     assert of_build[1:] == of_library[1:]
     assert "The 4 A current limit costs most: with 5 A 27.9 %" in of_library[-1][0]
     assert "not checked" in head(Look.of_library(build.library, proven=False))
+
+
+@pytest.mark.parametrize(("scene", "is_played"), [("wood_on_foam", True), ("hot_coil", True), ("small_coil", False)])
+def test_no_tap_is_proposed_on_a_coil_that_withholds_all(scene: str, is_played: bool) -> None:
+    proposed = next_commands(Path("a b.npz"), to.load_scene(scene))
+    assert all("'a b.npz'" in command for command in proposed)
+    assert any(command.startswith("transopt-play tap") for command in proposed) == is_played
