@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import problems
+from tests.benches.limits import with_numbers
 from transopt.design.context import Context
 from transopt.library.library import Library
 from transopt.plant.wall import reference_course
@@ -63,6 +64,23 @@ def test_the_answer_is_that_of_the_whole_search(saturated: TransientProblem, bey
     for proof in (certified(saturated, command, multipliers), certify(saturated, command, multipliers)):
         assert proof.accepted
         assert proof.relative_gap < 1e-7
+
+
+def test_a_search_is_lengthened_until_it_leaves_no_limit(saturated: TransientProblem) -> None:
+    """Side by side, taps whose limits bind early and late: the answers of one search over all stages."""
+    limits = saturated.limits.input_limit * np.linspace(1.0, 0.4, 9)
+    given = [stages(with_numbers(saturated, current_A=limit)) for limit in limits]
+    found = extension.interior_points(given, tolerance=TOLERANCE, max_iterations=60)
+    assert min(map(last_bound, found)) < saturated.grid.stages // 8
+    assert max(map(last_bound, found)) > saturated.grid.stages // 4
+    for each, own in zip(given, found, strict=True):
+        whole = answer(each.problem, saturated.free_stages)
+        assert own.objective == pytest.approx(whole.objective, rel=TOLERANCE)
+        command = each.command(own.command)
+        multipliers = each.multipliers(own.upper - own.lower, own.gradient)
+        proof = certify(each.problem, command, multipliers)
+        assert proof.accepted
+        assert proof.relative_gap < 1e-8
 
 
 def test_a_limit_that_binds_after_the_cut_is_left_and_not_certified(saturated: TransientProblem) -> None:

@@ -6,6 +6,16 @@
 
 static const double LOOK_S = 0.01; /* processor time between two checks for signals; each may wait for the interpreter's lock */
 
+enum {
+    MARGIN = 24,       /* stages beyond the last at which a limit is left, up to which limits are stated */
+    STEPS = 16,        /* lengths of a search */
+    FIRST = 3,         /* length of the first one */
+    LEAST_STAGES = 96, /* of a problem whose search may be shorter */
+    ENDED = -1         /* in place of the stages of a problem's next search */
+};
+
+static const double TIGHTER = 0.01; /* tolerance of a short search: two digits cost a thirtieth of its iterations */
+
 static tr_watch released(const tr_host *host)
 {
     tr_watch watch = {host, host ? host->release() : NULL, clock()};
@@ -89,17 +99,31 @@ static int have_one_size(int count, const tr_problem *q)
     return count > 0 && fits(q);
 }
 
+/* Whether limits are stated at the first stages alone: not a temperature's, which is highest at the end. */
+static int shortens(const tr_problem *q) { return q->rows && !q->nodes && q->stages >= LEAST_STAGES; }
+
 /* Doubles of workspace for `count` problems of equal sizes; 0 if the sizes are not within this method's limits. */
 size_t tr_workspace(int count, const tr_problem *q)
 {
     size_t most = 0;
     if (!have_one_size(count, q)) return 0;
     for (int i = 0, taken; i < count; i += taken) {
-        const size_t needed = kernel_for(q + i, count - i, &taken)->sizes(q + i);
+        const tr_kernel *kernel = kernel_for(q + i, count - i, &taken);
+        const size_t whole = kernel->sizes(q + i), shorter = shortens(q) ? kernel->shortened_sizes(q + i) : 0;
+        const size_t needed = whole > shorter ? whole : shorter;
         if (needed > most) most = needed;
     }
     return most;
 }
+
+/* Repeat the last of `taken` pointers where a kernel takes more. */
+#define FILL(some, taken) \
+    for (int e = (taken); e < MOST_ENTRIES; e++) (some)[e] = (some)[(taken) - 1]
+
+/* Pointers to `taken` array elements from `first` on. */
+#define SIDE_BY_SIDE(of, first, taken, found) \
+    for (int e = 0; e < (taken); e++) (found)[e] = (of) + (first) + e; \
+    FILL(found, taken)
 
 static int has_bounds(const tr_problem *q)
 {
@@ -110,9 +134,51 @@ static int has_bounds(const tr_problem *q)
     return 1;
 }
 
-/* Pointers to `taken` array elements from `first` on; the last one is repeated where a kernel takes more. */
-#define SIDE_BY_SIDE(of, first, taken, found) \
-    for (int e = 0; e < MOST_ENTRIES; e++) (found)[e] = (of) + (first) + (e < (taken) ? e : (taken) - 1)
+/* Stages of the next search for a problem whose answer leaves limits up to the stage `last`: a little more, in steps, so
+ * that alike problems have as many; all of them where the others are few. */
+static int cut_after(const tr_problem *q, int last)
+{
+    const int step = q->stages / STEPS, cut = (last + MARGIN) / step * step + step;
+    return cut > 3 * q->free_stages / 4 ? q->stages : cut;
+}
+
+/* Solve problems side by side, `taken` of the kernel's. Returns TR_INTERRUPTED, or 0.
+ *
+ * Limits bind early as a rule: they are first stated at the first stages alone, then up to the last stage at which that
+ * answer leaves them. What an answer keeps everywhere has bound nothing. A problem has the same kernel all along, so that
+ * its answer does not depend on the problems beside it.
+ */
+static int search(const tr_kernel *kernel, const tr_problem *q, int taken, const tr_options *options, double *space,
+                  tr_result *r, tr_watch *watch)
+{
+    const tr_problem *some[MOST_ENTRIES];
+    tr_result *theirs[MOST_ENTRIES];
+    int last[MOST_ENTRIES], cut[MOST_ENTRIES], of[MOST_ENTRIES];
+    tr_options tighter = *options;
+    tighter.tolerance *= TIGHTER;
+    for (int e = 0; e < taken; e++) cut[e] = shortens(q) ? q->stages / STEPS * FIRST : q->stages;
+    for (int first = 0; first < taken;) {
+        int found = 0, failed;
+        if (cut[first] == ENDED) {
+            first++;
+            continue;
+        }
+        for (int e = first; e < taken; e++)
+            if (cut[e] == cut[first]) some[found] = q + e, theirs[found] = r + e, of[found++] = e;
+        const int stages = cut[first];
+        FILL(some, found);
+        FILL(theirs, found);
+        failed = stages < q->stages ? kernel->shortened(some, stages, &tighter, space, theirs, last, watch)
+                                    : kernel->search(some, options, space, theirs, watch);
+        if (failed) return failed;
+        for (int e = 0; e < found; e++) {
+            const int solved = theirs[e]->code == TR_SOLVED || theirs[e]->code == TR_ACCURACY;
+            const int ended = stages == q->stages || (solved && last[e] < 0);
+            cut[of[e]] = ended ? ENDED : solved ? cut_after(q, last[e]) : q->stages;
+        }
+    }
+    return 0;
+}
 
 /* Solve `count` problems of equal sizes; the caller certifies the answers. Each result has its code. Returns 0, or the
  * code of an error that affects all problems.
@@ -122,8 +188,6 @@ static int has_bounds(const tr_problem *q)
  */
 int tr_solve(int count, const tr_problem *q, const tr_options *options, double *space, tr_result *r)
 {
-    const tr_problem *some[MOST_ENTRIES];
-    tr_result *theirs[MOST_ENTRIES];
     int failed = 0;
     if (!have_one_size(count, q)) failed = TR_TOO_LARGE;
     for (int i = 0; i < count; i++) r[i].iterations = 0, r[i].code = failed;
@@ -133,9 +197,7 @@ int tr_solve(int count, const tr_problem *q, const tr_options *options, double *
     tr_watch watch = released(options->host);
     for (int i = 0, taken; i < count && !failed; i += taken) {
         const tr_kernel *kernel = kernel_for(q + i, count - i, &taken);
-        SIDE_BY_SIDE(q, i, taken, some);
-        SIDE_BY_SIDE(r, i, taken, theirs);
-        failed = kernel->search(some, options, space, theirs, &watch);
+        failed = search(kernel, q + i, taken, options, space, r + i, &watch);
     }
     acquired(&watch);
     return failed;
@@ -152,12 +214,12 @@ size_t tr_shortened_workspace(const tr_problem *q)
  * not written. Nodes and their limit may be there, but no taps that repeat. */
 int tr_shortened(const tr_problem *q, int cut, const tr_options *options, double *space, tr_result *r)
 {
-    int taken;
+    int taken, last[MOST_ENTRIES];
     r->iterations = 0;
     if (!fits(q) || q->repeated || cut < 1 || cut > q->free_stages) return r->code = TR_TOO_LARGE;
     if (!has_bounds(q)) return r->code = TR_NO_BOUNDS;
     tr_watch watch = released(options->host);
-    const int failed = kernel_for(q, 1, &taken)->shortened(q, cut, options, space, r, &watch);
+    const int failed = kernel_for(q, 1, &taken)->shortened(&q, cut, options, space, &r, last, &watch);
     acquired(&watch);
     return failed;
 }

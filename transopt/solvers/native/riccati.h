@@ -92,9 +92,9 @@ typedef struct {
     int (*search)(const tr_problem *const *q, const tr_options *options, double *space, tr_result *const *r, tr_watch *watch);
     int (*pass)(const tr_problem *const *q, double tolerance, double *space, tr_result *const *r, tr_watch *watch);
     void (*certify)(const tr_problem *const *q, double *space, tr_proof *const *proof);
-    /* NULL where `entries` > 1. */
     size_t (*shortened_sizes)(const tr_problem *q);
-    int (*shortened)(const tr_problem *q, int cut, const tr_options *options, double *space, tr_result *r, tr_watch *watch);
+    int (*shortened)(const tr_problem *const *q, int cut, const tr_options *options, double *space, tr_result *const *r,
+                     int *last, tr_watch *watch);
 } tr_kernel;
 
 int tr_interface(void);

@@ -1562,24 +1562,32 @@ static int linear(const tr_problem *const *all, double tolerance, double *space,
     return 0;
 }
 
-#if ENTRIES == 1
+/* Square root of each problem's number. */
+static number root(const number of)
+{
+    number found;
+    for (int e = 0; e < ENTRIES; e++) EACH(found, e) = sqrt(EACH(of, e));
+    return found;
+}
+
 /* Cholesky factor Z (n, n) of the symmetric P = Z' Z (rows of ld numbers), by rows; a pivot that is zero up to rounding,
  * of a state without a cost, leaves a row of zeros. Returns y (n) with Z' y = p, the rows of zeros left out. */
-static void root_of(int n, int ld, double *P, const double *p, double *Z, double *y)
+static void root_of(int n, int ld, const number *P, const number *p, number *Z, number *y)
 {
-    double most = 0.0;
-    memset(Z, 0, (size_t)(n * n) * sizeof(double));
-    for (int i = 0; i < n; i++) most = fmax(most, P[i * ld + i]);
+    const number nothing = {0};
+    number most = nothing;
+    for (int i = 0; i < n * n; i++) Z[i] = nothing;
+    for (int i = 0; i < n; i++) most = at_least(P[i * ld + i], most);
     for (int i = 0; i < n; i++) {
-        double left = P[i * ld + i], right = p[i];
+        number left = P[i * ld + i], right = p[i];
         for (int l = 0; l < i; l++) left -= Z[l * n + i] * Z[l * n + i], right -= Z[l * n + i] * y[l];
-        y[i] = 0.0;
-        if (!(left > NO_PIVOT * most)) continue;
-        Z[i * n + i] = sqrt(left), y[i] = right / Z[i * n + i];
+        const number pivot = root(left), inverse = CHOSEN(left > NO_PIVOT * most, 1.0 / pivot, nothing);
+        Z[i * n + i] = CHOSEN(left > NO_PIVOT * most, pivot, nothing), y[i] = right * inverse;
         for (int j = i + 1; j < n; j++) {
-            double sum = 0.5 * (P[i * ld + j] + P[j * ld + i]);
+            number sum = P[j * ld + i]; /* of several problems the lower triangle alone is computed */
+            if (ENTRIES == 1) sum = 0.5 * (sum + P[i * ld + j]);
             for (int l = 0; l < i; l++) sum -= Z[l * n + i] * Z[l * n + j];
-            Z[i * n + j] = sum / Z[i * n + i];
+            Z[i * n + j] = sum * inverse;
         }
     }
 }
@@ -1590,80 +1598,145 @@ static size_t shortened_workspace(const tr_problem *q)
     const size_t n = (size_t)q->states, ld = BLOCKS(n) * PER, m = ((size_t)q->stages + 1) * (size_t)q->rows;
     tr_problem head = *q;
     head.ends = q->states;
-    return workspace(q) + workspace(&head) + (ld + 1) * ld + (n + 3) * n + 2 * m + 2 * WIDTH;
+    return workspace(q) + workspace(&head) + ENTRIES * ((ld + 1) * ld + 2 * (n + 3) * n + 2 * m) + 4 * WIDTH;
 }
 
-/* Search with limits that are stated before stage `cut` alone. From there on the optimum follows from the state, and its
- * cost is a square: a pass without limits gives both, and the search has `cut` stages. The caller judges the answer. */
-static int shortened(const tr_problem *q, int cut, const tr_options *options, double *space, tr_result *r, tr_watch *watch)
+/* For each problem the last stage, of those from `from` on, at which the movements take a row out of its bounds by more
+ * than the tolerance; -1 if they keep them all. */
+static void find_last(const tr_work *w, const tr_problem *const *all, int from, double tolerance, int *last)
+{
+    const int n = w->q->states, motors = w->q->motors, N = w->q->stages, m = all[0]->rows, blocks = w->ld / PER;
+    lanes x[MOST_BLOCKS] = {{0}}, next[MOST_BLOCKS];
+    int begin[MOST_ENTRIES][MOST_ROWS], end[MOST_ENTRIES][MOST_ROWS]; /* of the states with the nonzeros of a row */
+    for (int e = 0; e < ENTRIES; e++) {
+        last[e] = -1;
+        for (int i = 0; i < m; i++) {
+            const double *g = all[e]->G + (size_t)i * (size_t)n;
+            begin[e][i] = 0, end[e][i] = n;
+            while (end[e][i] > 0 && g[end[e][i] - 1] == 0.0) end[e][i]--;
+            while (begin[e][i] < end[e][i] && g[begin[e][i]] == 0.0) begin[e][i]++;
+        }
+    }
+    for (int k = 0; k <= N; k++) {
+        for (int e = 0; e < ENTRIES && k >= from; e++) {
+            const tr_problem *q = all[e];
+            for (int i = 0; i < m; i++) {
+                double v = 0.0;
+                for (int j = begin[e][i]; j < end[e][i]; j++) v += q->G[i * n + j] * EACH(AT(x, j), e);
+                for (int c = 0; k < N && c < motors; c++) v += q->d[i * motors + c] * EACH(w->u[k * motors + c], e);
+                /* What is not a number is outside. */
+                if (!(v <= q->upper[k * m + i] + tolerance && v >= q->lower[k * m + i] - tolerance)) last[e] = k;
+            }
+        }
+        if (k == N) break;
+        flow(n - motors, motors, blocks, w, x, w->u + k * motors, next);
+        memcpy(x, next, sizeof x);
+    }
+}
+
+/* Search with limits that are stated before stage `cut` alone, with 0 none. From there on the optimum follows from the
+ * state, and its cost is a square: a pass without limits gives both, and the search has `cut` stages. `last` says where
+ * the answer leaves limits that are not stated (`find_last`). */
+static int shortened(const tr_problem *const *all, int cut, const tr_options *options, double *space, tr_result *const *r,
+                     int *last, tr_watch *watch)
 {
     tr_work work, *w = &work;
-    tr_problem bare = *q, head = *q;
-    const tr_problem *of_bare = &bare, *of_head = &head;
+    tr_problem bare[ENTRIES], head[ENTRIES];
+    const tr_problem *of_bare[ENTRIES], *of_head[ENTRIES], *q = all[0];
     const int n = q->states, motors = q->motors, first = n - motors, m = q->rows, N = q->stages;
     const int blocks = BLOCKS(n), ld = blocks * PER;
-    const double none[MOST_NODES] = {0};
+    static const number none[MOST_NODES];
+    const number nothing = {0};
     lanes x[MOST_BLOCKS] = {{0}}, next[MOST_BLOCKS];
-    bare.rows = bare.nodes = bare.repeated = 0;
-    prepare(w, &of_bare, space, watch);
-    double *taken = space + workspace(&bare);
+    number step = nothing + 1.0;
+    for (int e = 0; e < ENTRIES; e++) {
+        bare[e] = head[e] = *all[e], of_bare[e] = bare + e, of_head[e] = head + e;
+        bare[e].rows = bare[e].nodes = bare[e].repeated = 0;
+        r[e]->code = TR_BREAKDOWN, last[e] = N;
+    }
+    prepare(w, of_bare, space, watch);
+    double *taken = space + workspace(bare);
     while ((uintptr_t)taken % (WIDTH * sizeof(double))) taken++;
-    double *P = taken, *p = P + ld * ld, *Z = p + ld, *z = Z + n * n, *y = z + n, *lower = y + n;
-    double *upper = lower + (cut + 1) * m;
-    w->cut = cut, w->cost_at_cut = (lanes *)P, w->costate_at_cut = (lanes *)p;
-    if (factor(w, 0, NULL) == TR_INTERRUPTED) return TR_INTERRUPTED;
-    r->code = TR_BREAKDOWN;
-    if (w->sound == 0.0) return 0;
+    number *P = (number *)taken, *p = P + ld * ld, *Z = p + ld, *z = Z + n * n, *y = z + n;
+    taken = (double *)(y + n);
+    if (cut) w->cut = cut, w->cost_at_cut = (lanes *)P, w->costate_at_cut = (lanes *)p;
+    const int broken = factor(w, 0, NULL);
+    if (broken) return broken == TR_INTERRUPTED ? broken : 0;
     begin(w);
-    tr_state now = {0};
-    for (int pass = 0; pass <= REFINEMENTS; pass++) {
+    tr_state now = {nothing, nothing, nothing, nothing};
+    for (int pass = 1; pass <= REFINEMENTS + 1; pass++) {
+        int wanting = 0;
         newton(w, 0);
-        advance(w, 1.0);
-        now = judge(w, 0.0, 0.0);
-        if (now.stationarity <= options->tolerance * fmax(now.objective, 1.0)) break;
+        advance(w, step);
+        now = judge(w, nothing, nothing);
+        for (int e = 0; e < ENTRIES; e++) {
+            const double objective = EACH(now.objective, e), left = EACH(now.stationarity, e);
+            if (left <= options->tolerance * fmax(objective, 1.0)) EACH(step, e) = 0.0;
+            wanting = wanting || EACH(step, e) != 0.0;
+            if (EACH(w->sound, e) != 0.0 && left < INFINITY && objective < INFINITY) r[e]->code = TR_SOLVED;
+            r[e]->objective = objective, r[e]->gap = left, r[e]->residual = 0.0, r[e]->iterations = pass;
+        }
+        if (!wanting) break;
     }
-    if (!(now.stationarity < INFINITY && now.objective < INFINITY)) return 0;
-    /* The rest's cost about the pass's own state x at the cut is |Z x_cut - z|^2 / 2 and a constant. */
-    head.constant = now.objective;
-    for (int k = 0; k < cut; k++) {
-        flow(first, motors, blocks, w, x, w->u + k * motors, next);
-        memcpy(x, next, sizeof x);
-        for (int c = k * motors; c < (k + 1) * motors; c++) head.constant -= 0.5 * w->movement_weight * w->u[c] * w->u[c];
-        for (int o = k * q->outputs; o < (k + 1) * q->outputs; o++)
-            head.constant -= 0.5 * w->weight[o] * w->error[o] * w->error[o];
+    for (int e = 0; e < ENTRIES; e++)
+        if (r[e]->code == TR_SOLVED && EACH(step, e) != 0.0) r[e]->code = TR_ACCURACY;
+    if (cut) {
+        /* The rest's cost about the pass's own state x at the cut is |Z x_cut - z|^2 / 2 and a constant. */
+        number constant = now.objective;
+        int unusable[ENTRIES];
+        for (int k = 0; k < cut; k++) {
+            flow(first, motors, blocks, w, x, w->u + k * motors, next);
+            memcpy(x, next, sizeof x);
+            for (int c = k * motors; c < (k + 1) * motors; c++) constant -= 0.5 * w->movement_weight * w->u[c] * w->u[c];
+            for (int o = k * q->outputs; o < (k + 1) * q->outputs; o++)
+                constant -= 0.5 * w->weight[o] * w->error[o] * w->error[o];
+        }
+        root_of(n, ld, P, p, Z, y);
+        for (int i = 0; i < n; i++) {
+            z[i] = -y[i];
+            for (int j = i; j < n; j++) z[i] += Z[i * n + j] * AT(x, j);
+            constant -= 0.5 * y[i] * y[i];
+        }
+        for (int e = 0; e < ENTRIES; e++) {
+            double *gain = taken, *target = gain + n * n, *lower = target + n, *upper = lower + (cut + 1) * m;
+            taken = upper + (cut + 1) * m;
+            for (int i = 0; i < n * n; i++) gain[i] = EACH(Z[i], e);
+            for (int i = 0; i < n; i++) target[i] = EACH(z[i], e);
+            /* At the cut itself only the temperature is limited: no other limit's value there is decided before it. */
+            for (int i = 0; i < (cut + 1) * m; i++) {
+                const int stated = i < cut * m || (NODES(q) && i == cut * m);
+                lower[i] = stated ? all[e]->lower[i] : -INFINITY, upper[i] = stated ? all[e]->upper[i] : INFINITY;
+            }
+            head[e].constant = EACH(constant, e);
+            head[e].stages = head[e].free_stages = cut, head[e].ends = n;
+            head[e].end_gain = gain, head[e].end_target = target, head[e].lower = lower, head[e].upper = upper;
+            unusable[e] = r[e]->code == TR_BREAKDOWN;
+        }
+        const int failed = solve(of_head, options, taken, r, watch);
+        if (failed) return failed;
+        /* What the search has moved, and by the pass's gains the rest. */
+        memset(w->K, 0, (size_t)(cut * motors * ld) * sizeof(number));
+        memset(w->pivot, 0, (size_t)(cut * motors * motors) * sizeof(number));
+        memset(w->offset, 0, (size_t)(N * motors) * sizeof(number));
+        for (int e = 0; e < ENTRIES; e++) {
+            if (unusable[e]) r[e]->code = TR_BREAKDOWN;
+            for (int at = 0; at < cut * motors; at++) {
+                const double before = at < motors ? 0.0 : r[e]->command[at - motors];
+                EACH(w->offset[at], e) = r[e]->command[at] - before - EACH(w->u[at], e);
+            }
+        }
+        forward(w, none, w->offset, w->offset_e, 1);
+        advance(w, nothing + 1.0);
+        backward(w, none, 1, w->offset, w->offset_e, 0);
     }
-    root_of(n, ld, P, p, Z, y);
-    for (int i = 0; i < n; i++) {
-        z[i] = -y[i];
-        for (int j = i; j < n; j++) z[i] += Z[i * n + j] * AT(x, j);
-        head.constant -= 0.5 * y[i] * y[i];
-    }
-    /* At the cut itself only the temperature is limited: no other limit's value there is decided before it. */
-    for (int i = 0; i < (cut + 1) * m; i++) {
-        const int stated = i < cut * m || (NODES(q) && i == cut * m);
-        lower[i] = stated ? q->lower[i] : -INFINITY, upper[i] = stated ? q->upper[i] : INFINITY;
-    }
-    head.stages = head.free_stages = cut, head.ends = n;
-    head.end_gain = Z, head.end_target = z, head.lower = lower, head.upper = upper;
-    const int failed = solve(&of_head, options, upper + (cut + 1) * m, &r, watch);
-    if (failed) return failed;
-    /* What the search has moved, and by the pass's gains the rest. */
-    memset(w->K, 0, (size_t)(cut * motors * ld) * sizeof(double));
-    memset(w->pivot, 0, (size_t)(cut * motors * motors) * sizeof(double));
-    memset(w->offset, 0, (size_t)(N * motors) * sizeof(double));
-    for (int at = 0; at < cut * motors; at++)
-        w->offset[at] = r->command[at] - (at < motors ? 0.0 : r->command[at - motors]) - w->u[at];
-    forward(w, none, w->offset, w->offset_e, 1);
-    advance(w, 1.0);
-    backward(w, none, 1, w->offset, w->offset_e, 0);
-    for (int at = cut * motors; at < N * motors; at++)
-        r->command[at] = r->command[at - motors] + w->u[at], r->gradient[at] = w->offset[at];
+    for (int e = 0; e < ENTRIES; e++)
+        for (int at = cut * motors; at < N * motors; at++) {
+            r[e]->command[at] = (at < motors ? 0.0 : r[e]->command[at - motors]) + EACH(w->u[at], e);
+            r[e]->gradient[at] = EACH(w->offset[at], e);
+        }
+    if (!NODES(q)) find_last(w, all, cut, options->tolerance, last);
     return 0;
 }
-#else
-#define shortened NULL
-#define shortened_workspace NULL
-#endif
 
 /* A multiplier times the absolute slack; zero without a bound. */
 ALWAYS_INLINE number paired_with(const number multiplier, const number slack)
