@@ -176,12 +176,14 @@ def _answers(method: Any, given: Sequence[Stages], asked: _Options, cut: int = 0
 def interior_points(given: Sequence[Stages], *, tolerance: float, max_iterations: int, cut: int = 0) -> list[Answer]:
     """Solve problems, those of equal sizes side by side.
 
+    Without the temperature, limits are stated at the first stages alone, and at more if an answer leaves them.
+
     Parameters
     ----------
     tolerance : on the gap, relative to max(J, 1e-3), and on the residuals of the limits, in their units.
-    cut : only for a single problem without taps that repeat. If it is above 0, the limits are stated at the stages
-        before it alone: a search over so many stages, much shorter if limits bind early. The caller must check the
-        limits from there on.
+    cut : only for a single problem without taps that repeat. If it is above 0, there is one search, with the limits
+        stated at the stages before it alone: over so many stages, much shorter if limits bind early. The caller must
+        check the limits from there on.
 
     Raises
     ------

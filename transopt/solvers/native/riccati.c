@@ -10,7 +10,7 @@ enum {
     MARGIN = 24,       /* stages beyond the last at which a limit is left, up to which limits are stated */
     STEPS = 16,        /* lengths of a search */
     FIRST = 3,         /* length of the first one */
-    LEAST_STAGES = 96, /* of a problem whose search may be shorter */
+    LEAST_STAGES = 64, /* of a problem whose search may be shorter */
     ENDED = -1         /* in place of the stages of a problem's next search */
 };
 

@@ -1606,8 +1606,9 @@ static size_t shortened_workspace(const tr_problem *q)
 static void find_last(const tr_work *w, const tr_problem *const *all, int from, double tolerance, int *last)
 {
     const int n = w->q->states, motors = w->q->motors, N = w->q->stages, m = all[0]->rows, blocks = w->ld / PER;
-    lanes x[MOST_BLOCKS] = {{0}}, next[MOST_BLOCKS];
+    lanes x[MOST_BLOCKS], next[MOST_BLOCKS];
     int begin[MOST_ENTRIES][MOST_ROWS], end[MOST_ENTRIES][MOST_ROWS]; /* of the states with the nonzeros of a row */
+    memset(x, 0, sizeof x);
     for (int e = 0; e < ENTRIES; e++) {
         last[e] = -1;
         for (int i = 0; i < m; i++) {
@@ -1647,8 +1648,9 @@ static int shortened(const tr_problem *const *all, int cut, const tr_options *op
     const int blocks = BLOCKS(n), ld = blocks * PER;
     static const number none[MOST_NODES];
     const number nothing = {0};
-    lanes x[MOST_BLOCKS] = {{0}}, next[MOST_BLOCKS];
+    lanes x[MOST_BLOCKS], next[MOST_BLOCKS];
     number step = nothing + 1.0;
+    memset(x, 0, sizeof x);
     for (int e = 0; e < ENTRIES; e++) {
         bare[e] = head[e] = *all[e], of_bare[e] = bare + e, of_head[e] = head + e;
         bare[e].rows = bare[e].nodes = bare[e].repeated = 0;
