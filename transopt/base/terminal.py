@@ -14,7 +14,7 @@ import threading
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -166,11 +166,7 @@ def _code(
 ) -> int:
     """Run a command line and print its errors; the exit code."""
     try:
-        code = (
-            readable(get_command(app))(standalone_mode=False, prog_name=name)
-            if isinstance(app, typer.Typer)
-            else app()
-        )
+        code = _parser(app)(standalone_mode=False, prog_name=name) if isinstance(app, typer.Typer) else app()
     except InputError as error:
         typer.echo(f"error: {harmless(str(error))}", err=True)
         return 2
@@ -189,6 +185,12 @@ def _code(
             raise
         return SIGNALLED + came[0]
     return code if isinstance(code, int) else 0
+
+
+@cache
+def _parser(app: typer.Typer) -> Any:
+    """Commands of an application as they are parsed and their help is printed, built once in a process."""
+    return readable(get_command(app))
 
 
 def readable(command: Any) -> Any:
