@@ -136,7 +136,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="the campaign forks, 
 
 def test_in_short(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(tmp_path)
-    code = main(flips=2, altered=4, recordings=10, scenes=6)
+    code = main(flips=2, altered=2, recordings=5, scenes=4)
     said = capsys.readouterr().out
     assert code == 0, said
     assert list(tmp_path.iterdir()) == [], "something was left behind"
