@@ -81,7 +81,7 @@ class Session:
     def fitted(self, seed: int) -> tuple[HandFit, FourthOrderFit]:
         found = self.taps(seed)
         hand = fit_hand(found, resamples=200)
-        return hand, fit_fourth_order(found, hand, starts=3)
+        return hand, fit_fourth_order(found, hand, starts=1)
 
 
 @cache
