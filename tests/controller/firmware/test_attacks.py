@@ -195,7 +195,7 @@ def test_a_configuration_without_a_coil_does_not_burn_the_motor(start: Start) ->
     talker.loaded(image)
     plant = Plant(talker)
     winding, housing = 90.0, 80.0
-    for _ in range(12):
+    for _ in range(7):  # the fifth ends too hot
         if plant.output.state is State.IDLE:
             talker.tell(arm(settings, image))
         talker.tell(m.Lease(0), m.Start(0))
