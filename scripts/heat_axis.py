@@ -74,7 +74,7 @@ def left(library: Library, share: float) -> list[Left]:
     iv = int(np.searchsorted(library.speeds_m_s, SPEED_M_S))
     found = []
     for ig, grip in enumerate(library.grips_N):
-        target, (accelerations, _) = library.told(iv, ig), library.lasting(iv, ig)
+        target, (accelerations, _) = library.uncorrected(iv, ig), library.lasting(iv, ig)
         scaled = library.yardstick.figures(target, share**0.5 * accelerations)
         found.append(Left(share, float(grip), scaled, cool_of(library).figures(iv, ig)))
     return found
@@ -231,7 +231,7 @@ def _heard(library: Library) -> dict[tuple[int, int], FloatArray]:
     (by,) = bandpass(*FELT_Hz, library.dt_s, 1)
     found = {}
     for iv, ig in np.ndindex(library.command.shape[:2]):
-        target = library.told(iv, ig)
+        target = library.uncorrected(iv, ig)
         free, recorded = target.lasting(target.free_m_s2), target.lasting(target.recorded_m_s2)
         made = [each.lasting(iv, ig)[0] for each in (library, cool_of(library))]
         found[iv, ig] = by.apply(np.stack([recorded, free, *made]))

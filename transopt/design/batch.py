@@ -35,7 +35,7 @@ class Batch:
     coil : the motor's coil; None where it is not known.
     steady_input : largest plant input that the actuator bears continuously [A or V]. The baselines are evaluated at
         this limit too.
-    told : targets against which errors are reported; by default the target that each problem tracks.
+    uncorrected : targets against which errors are reported; by default the target that each problem tracks.
     transients : (M, N) inputs played in addition to the wall's feedback; by default the commands less that feedback.
     with_rivals : whether the baselines will be read too; they then share the simulation.
     """
@@ -45,14 +45,14 @@ class Batch:
         designed: Sequence[Designed],
         coil: CoilModel | None,
         steady_input: float,
-        told: Sequence[Target] | None = None,
+        uncorrected: Sequence[Target] | None = None,
         transients: FloatArray | None = None,
         *,
         with_rivals: bool = False,
     ) -> None:
         self._stated, self._with_rivals = transients, with_rivals
         self.designed, self._coil, self._steady_input = designed, coil, steady_input
-        self.told = [each.problem.target for each in designed] if told is None else told
+        self.uncorrected = [each.problem.target for each in designed] if uncorrected is None else uncorrected
 
     @cached_property
     def replays(self) -> list[Replay]:
@@ -61,7 +61,7 @@ class Batch:
             return [both[1] for both in self._on_nonlinear_plant]
         simulated = self._together.of(slice(len(self.designed))) if self._share else None
         problems = [each.problem for each in self.designed]
-        return replayed(problems, self._transients, self._coil, told=self.told, simulated=simulated)
+        return replayed(problems, self._transients, self._coil, uncorrected=self.uncorrected, simulated=simulated)
 
     @cached_property
     def linear_replays(self) -> list[Replay]:
@@ -74,7 +74,7 @@ class Batch:
         first = self.designed[0]
         if first.nonlinear is not None:
             return [Baselines(*self._figures_on_nonlinear_plant(each)) for each in self.designed]
-        yardstick, targets, M = first.problem.yardstick, [*self.told] * 4, len(self.designed)
+        yardstick, targets, M = first.problem.yardstick, [*self.uncorrected] * 4, len(self.designed)
         if self._share:
             found = figures_of(self._together.of(slice(M, None)), yardstick, targets)
         else:

@@ -64,7 +64,7 @@ class Posed:
     coil : the motor's coil, for the replay; None where it is not known.
     steady_input : largest plant input that the actuator bears continuously [A or V], a limit of the baselines.
     repeatability : trial-to-mean error of its recordings; NaN if unknown.
-    told : the target against which errors are reported; None for the target that the problem tracks.
+    uncorrected : the target against which errors are reported; None for the target that the problem tracks.
     plant : the nonlinear plant; None for a linear one.
     warmer : an answer; this one may make at most `cool_share` of its heat. None without such a bound.
     """
@@ -77,7 +77,7 @@ class Posed:
     coil: CoilModel | None = None
     steady_input: float = float("inf")
     repeatability: float = float("nan")
-    told: Target | None = None
+    uncorrected: Target | None = None
     plant: NonlinearCoil | None = None
     warmer: Designed | None = None
     cool_share: float = 1.0

@@ -50,8 +50,8 @@ def design(
         played.setdefault(_played_with(problems[number], designed), []).append(number)
     for numbers in played.values():
         first = problems[numbers[0]]
-        told = [problems[n].told or solved[n].problem.target for n in numbers]
-        batch = Batch([solved[n] for n in numbers], first.coil, first.steady_input, told, with_rivals=rivals)
+        uncorrected = [problems[n].uncorrected or solved[n].problem.target for n in numbers]
+        batch = Batch([solved[n] for n in numbers], first.coil, first.steady_input, uncorrected, with_rivals=rivals)
         for index, n in enumerate(numbers):
             posed = problems[n]
             tap = (posed.speed_m_s, posed.grip_N, posed.target)

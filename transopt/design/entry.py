@@ -132,20 +132,20 @@ class Entry(Answered):
         return self.batch.rivals[self.index]
 
     @cached_property
-    def told(self) -> Target:
-        """Target against which errors are reported; a refinement lets the problem track a corrected one."""
-        return self.batch.told[self.index]
+    def uncorrected(self) -> Target:
+        """Target against which errors are reported, without the correction that a refinement tracks as well."""
+        return self.batch.uncorrected[self.index]
 
     @cached_property
     def floor(self) -> float:
         """Tap error of the optimum without limits."""
-        if self.told is self.problem.target:
+        if self.uncorrected is self.problem.target:
             return self.designed.floor
         free = self.designed.unlimited_command
         if self.problem.intensity > 0:
             # The floor is defined by the waveform alone; a price on intensity would shift the unlimited optimum.
             free = unlimited.solve([self.problem.without_intensity()])[0].command
-        return self.problem.yardstick.tap_error(self.told, self.problem.stage.rollout(free)[0])
+        return self.problem.yardstick.tap_error(self.uncorrected, self.problem.stage.rollout(free)[0])
 
     @property
     def free_peak(self) -> float:

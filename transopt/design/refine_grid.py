@@ -196,7 +196,7 @@ class Errors:
     def _predicted_tap_error(self, point: Point, spot: Spot) -> float:
         """Tap error of the optimum at a point, by the stage model."""
         found = self.optimum(point, spot)
-        return self.context.yardstick.tap_error(found.told, found.predicted_m_s2)
+        return self.context.yardstick.tap_error(found.uncorrected, found.predicted_m_s2)
 
     def _energy(self, acceleration_m_s2: FloatArray) -> float:
         """Energy of an acceleration (N,), or along the normal (p, N), through the filter of the rapid term."""
@@ -254,11 +254,11 @@ class Errors:
         device = self.context.stage(grip, spot)
         # The coil is not simulated: heating is convex, so a blend heats at most as much as the blended heatings.
         wanted = [self.context.reference(*point).target for point in part for _ in range(3)]
-        told = replayed_figures(device, self.context.yardstick, commands, wanted)
+        figures = replayed_figures(device, self.context.yardstick, commands, wanted)
         moved, _ = device.rollout(commands)
         found = []
         for j, point in enumerate(part):
-            optimum, *blended = (each.tap_error for each in told[3 * j : 3 * j + 3])
+            optimum, *blended = (each.tap_error for each in figures[3 * j : 3 * j + 3])
             dB = [self.dB(point, each, spot) for each in moved[3 * j + 1 : 3 * j + 3]]
             found.append(OffNode(*point, optimum, blended[0], blended[1], dB[0], dB[1], spot))
         return found

@@ -85,10 +85,12 @@ def _again(
         devices, speeds = library.devices(ig), [iv for iv, g in sorted(corrections_m_s2) if g == ig]
         posed = []
         for iv in speeds:
-            told = library.told(iv, ig)
-            problem = replace(library.problem(iv, ig, devices), target=told.moved(corrections_m_s2[iv, ig]))
+            uncorrected = library.uncorrected(iv, ig)
+            problem = replace(library.problem(iv, ig, devices), target=uncorrected.moved(corrections_m_s2[iv, ig]))
             grip, steady = float(library.grips_N[ig]), library.steady_input
-            posed.append(Posed(problem, grip_N=grip, coil=library.coil(), steady_input=steady, told=told))
+            posed.append(
+                Posed(problem, grip_N=grip, coil=library.coil(), steady_input=steady, uncorrected=uncorrected)
+            )
         for iv, entry in zip(speeds, design(posed, options=options), strict=True):
             found[iv, ig] = entry.stating(objective=library.posing().objective)
     return found

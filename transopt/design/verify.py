@@ -60,13 +60,13 @@ def _verified(library: Library, progress: Callable[[int], None]) -> list[Entry]:
 
     for ig in range(ng):
         designed = answers_of(library, ig, proofs, free)
-        told = [
-            library.told(iv, ig) if library.correction_m_s2[iv, ig].any() else designed[iv].problem.target
+        uncorrected = [
+            library.uncorrected(iv, ig) if library.correction_m_s2[iv, ig].any() else designed[iv].problem.target
             for iv in range(nv)
         ]
         # A device with a wall adds the file's transient to its own feedback.
         played = library.command if library.wall() is None else library.transient_command
-        batch = Batch(designed, library.coil(), library.steady_input, told, played[:, ig])
+        batch = Batch(designed, library.coil(), library.steady_input, uncorrected, played[:, ig])
         for iv in range(nv):
             entry = _entry(library, iv, ig, batch, options)
             checked[iv, ig] = entry.stating(shortfalls=_shortfalls(library, iv, ig, entry))

@@ -34,7 +34,7 @@ class Answered:
     designed: Designed
 
     @property
-    def told(self) -> Target:
+    def uncorrected(self) -> Target:
         """Target that errors are measured against."""
         return self.problem.target
 
@@ -102,12 +102,12 @@ class Answered:
     @property
     def tangential_error(self) -> float:
         """Error across the normal over the intention, relative to |r| along it; 0 for a plant with one direction."""
-        return self.problem.yardstick.across(self.told, self.made_m_s2)[0] if self.problem.directions else 0.0
+        return self.problem.yardstick.across(self.uncorrected, self.made_m_s2)[0] if self.problem.directions else 0.0
 
     @property
     def direction_rad(self) -> float:
         """Angle by which that error turns the acceleration; 0 for a plant with one direction."""
-        return self.problem.yardstick.across(self.told, self.made_m_s2)[1] if self.problem.directions else 0.0
+        return self.problem.yardstick.across(self.uncorrected, self.made_m_s2)[1] if self.problem.directions else 0.0
 
     @property
     def energy_dB(self) -> float:
@@ -127,7 +127,7 @@ class Answered:
         """Tap error of `linear_command` on the plant at rest; NaN for a linear plant."""
         if self.linear_command is None:
             return NAN
-        return self.problem.yardstick.tap_error(self.told, self.problem.stage.rollout(self.linear_command)[0])
+        return self.problem.yardstick.tap_error(self.uncorrected, self.problem.stage.rollout(self.linear_command)[0])
 
 
 class Stored(Answered):
@@ -135,26 +135,26 @@ class Stored(Answered):
 
     Parameters
     ----------
-    told : target that errors are measured against. objective : "waveform" or "intensity", as in the scene.
+    uncorrected : target that errors are measured against. objective : "waveform" or "intensity", as in the scene.
     """
 
-    def __init__(self, designed: Designed, told: Target, objective: str) -> None:
-        self.designed, self._told, self.objective = designed, told, objective
+    def __init__(self, designed: Designed, uncorrected: Target, objective: str) -> None:
+        self.designed, self._uncorrected, self.objective = designed, uncorrected, objective
 
     @property
-    def told(self) -> Target:
-        return self._told
+    def uncorrected(self) -> Target:
+        return self._uncorrected
 
     @property
     def floor(self) -> float:
         """Tap error of the optimum without limits; NaN if that optimum was not found."""
         free = self.problem.stage.rollout(self.designed.unlimited_command)[0]
-        return self.problem.yardstick.tap_error(self.told, free)
+        return self.problem.yardstick.tap_error(self.uncorrected, free)
 
     @cached_property
     def figures(self) -> Figures:
         """Distance of the predicted motion from the recorded tap."""
-        return self.problem.yardstick.figures(self.told, self.designed.effect.lasting.acceleration_m_s2)
+        return self.problem.yardstick.figures(self.uncorrected, self.designed.effect.lasting.acceleration_m_s2)
 
     @property
     def linear_tap_error(self) -> float:

@@ -202,7 +202,7 @@ def played(library: Library, drives: Sequence[Drive]) -> list[PlayedDrive]:
             if drive.ig not in instants:
                 instants[drive.ig] = _Instants.of(library, drive.ig, drive.driver)
             acceleration = instants[drive.ig].accelerations(drive.values)
-        found_figures = library.yardstick.figures(library.told(drive.iv, drive.ig), acceleration)
+        found_figures = library.yardstick.figures(library.uncorrected(drive.iv, drive.ig), acceleration)
         found.append(
             PlayedDrive(
                 drive=drive,

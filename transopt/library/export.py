@@ -150,7 +150,7 @@ def wav_file(library: Library) -> bytes:
     for iv in range(library.speeds_m_s.size):
         for ig, stage in enumerate(stages):
             free = library.free_m_s2[iv, ig]
-            command = seed_inversion(stage, grid, library.told(iv, ig).window_m_s2, limit, taper)
+            command = seed_inversion(stage, grid, library.uncorrected(iv, ig).window_m_s2, limit, taper)
             inversion = _made(library, iv, ig, stage, command)
             for sound in (library.recorded_m_s2[iv, ig], inversion + free, library.acceleration_m_s2[iv, ig] + free):
                 pieces += [sound, silence]

@@ -123,7 +123,7 @@ class Library(Posed):
             self.figures(iv, ig),
             NAN if self.nonlinear else float(self.floor[iv, ig]),
             self._repeatability(iv, ig),
-            normal_levels(self.told(iv, ig), self.acceleration_m_s2[iv, ig], self.dt_s),
+            normal_levels(self.uncorrected(iv, ig), self.acceleration_m_s2[iv, ig], self.dt_s),
             str(self.binding[iv, ig]),
             named=bool(self.axes.targets),
             # The sign of one motor's current does not say whether the surface pulls if there are several motors.

@@ -242,7 +242,7 @@ class Posed(Held):
         problem = self.problem(iv, ig)
         return problem.stage.rollout(problem.continued(self.command[iv, ig]))
 
-    def told(self, iv: int, ig: int) -> Target:
+    def uncorrected(self, iv: int, ig: int) -> Target:
         """r - a_free of an entry, which errors are measured against; it contains no correction."""
         return self.wanted_of(iv, ig).target
 

@@ -97,7 +97,7 @@ def _of_grip(library: Library, ig: int) -> Iterator[str]:
         if not (proof.accepted or (proof.is_stationary and (library.nonlinear or not _boundable(designed.problem)))):
             yield where + proof.shortfall
             continue
-        again = Stored(designed, library.told(iv, ig), library.posing().objective)
+        again = Stored(designed, library.uncorrected(iv, ig), library.posing().objective)
         yield from (where + off for off in departures(library, iv, ig, again))
         yield from (where + off for off in _peaks(library, iv, ig, again))
 
@@ -156,7 +156,7 @@ def _peak(course: Any) -> float:
 
 def _size(again: Answered) -> float:
     """Largest acceleration of the target [m/s^2]."""
-    return _peak(again.told.window_m_s2)
+    return _peak(again.uncorrected.window_m_s2)
 
 
 def _scale(again: Answered) -> float:

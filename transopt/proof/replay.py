@@ -289,7 +289,7 @@ def replayed(
     commands: FloatArray,
     coil: CoilModel | None = None,
     *,
-    told: Sequence[Target] | None = None,
+    uncorrected: Sequence[Target] | None = None,
     simulated: Accurate | None = None,
 ) -> list[Replay]:
     """`replay` M commands (M, N), or (M, m, N), each in its problem; with a wall they are the transients.
@@ -297,14 +297,14 @@ def replayed(
     Parameters
     ----------
     problems : one per command, all with the same devices and time axis; targets, limits and budgets may differ.
-    told : targets that the figures refer to; by default those of the problems.
+    uncorrected : targets that the figures refer to; by default those of the problems.
     """
     first = problems[0]
     return replay(
         first.stage,
         first.grid,
         commands,
-        [problem.target for problem in problems] if told is None else told,
+        [problem.target for problem in problems] if uncorrected is None else uncorrected,
         coil,
         limits=[problem.limits for problem in problems],
         walls=[problem.wall for problem in problems if problem.wall is not None] or None,

@@ -228,7 +228,7 @@ def entries_figure(entries: Sequence[Sequence["Entry"]]) -> Figure:
                 tuple(entry.spot for entry in entries[0] if entry.spot is not None),
             ),
             driven_by=first.driven_by,
-            target_m_s2=np.array([[entry.told.normal.continued_m_s2 for entry in row] for row in entries]),
+            target_m_s2=np.array([[entry.uncorrected.normal.continued_m_s2 for entry in row] for row in entries]),
             acceleration_m_s2=acceleration,
             plant_input=current,
             limit=first.limits.input_limit,

@@ -61,7 +61,7 @@ def _solved(posed: Posed, entry: Entry, price: Price, options: SolverOptions) ->
     problems = [posed.problem.replaced(limit.raised(float(bound) - price.bound)) for bound in bounds]
     found = design([replace(posed, problem=problem) for problem in problems], options=options)
     return {
-        float(bound): other.problem.yardstick.tap_error(other.told, other.predicted_m_s2)
+        float(bound): other.problem.yardstick.tap_error(other.uncorrected, other.predicted_m_s2)
         for bound, other in zip(bounds, found, strict=True)
         if other.solution.status is Status.OPTIMAL and other.certificate.accepted
     }

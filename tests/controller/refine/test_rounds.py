@@ -149,7 +149,7 @@ class TestLearning:
 
 def wanted(library: Library, iv: int, ig: int) -> FloatArray:
     """(N,) what an entry asks of the current."""
-    return library.told(iv, ig).window_m_s2
+    return library.uncorrected(iv, ig).window_m_s2
 
 
 class TestResolve:

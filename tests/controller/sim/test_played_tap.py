@@ -56,7 +56,7 @@ class TestPrediction:
     def test_at_a_node_it_is_the_library(self, library: Library) -> None:
         found = predict(library, 0.3, 5.0)
         np.testing.assert_array_equal(found.acceleration_m_s2, library.acceleration_m_s2[2, 2])
-        np.testing.assert_array_equal(found.reference_m_s2, library.told(2, 2).window_m_s2)
+        np.testing.assert_array_equal(found.reference_m_s2, library.uncorrected(2, 2).window_m_s2)
         assert found.floor == library.floor[2, 2]
 
     def test_replay_at_a_node_agrees_with_the_library(self, library: Library) -> None:

@@ -89,7 +89,7 @@ def test_baselines_are_those_whose_errors_a_report_tells(
         for ig in range(library.grips_N.size):
             acceleration, _ = library.stage(ig).rollout(banks[method].command_A[:, ig])
             for iv in range(library.speeds_m_s.size):
-                found = library.yardstick.tap_error(library.told(iv, ig), acceleration[iv])
+                found = library.yardstick.tap_error(library.uncorrected(iv, ig), acceleration[iv])
                 told = getattr(build.entries[iv][ig].baselines, stored).tap_error
                 assert found == pytest.approx(told, abs=1e-6)
 

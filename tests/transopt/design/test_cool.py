@@ -133,7 +133,7 @@ class TestLibrary:
         assert any("heat_price reaches" in said for said in doubts(replace(cool(cooled), cool=None)))
 
     def test_both_follow_a_correction(self, cooled: Library, tmp_path: Path) -> None:
-        asked = {(0, 1): 0.1 * cooled.told(0, 1).window_m_s2}
+        asked = {(0, 1): 0.1 * cooled.uncorrected(0, 1).window_m_s2}
         refined, kept = resolve(cooled, asked, {"rounds": []})
         assert not kept
         loaded = proven_again(refined, tmp_path)
