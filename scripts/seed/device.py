@@ -19,7 +19,7 @@ from controller.sim.user import StillHand
 from seed.plots import REFERENCE, logarithmic
 from transopt.base.plotting import DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT, colours, style
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, ComplexArray, FloatArray, Signal
-from transopt.identify.amplifier_response import sampled_response
+from transopt.identify.amplifier_response import sampled
 from transopt.identify.hand.lines import HandFit, fit_hand
 from transopt.identify.hand.tap import cut_tap
 from transopt.identify.spectrum import TransferEstimate, Trial, estimate_transfer
@@ -233,7 +233,7 @@ def amplifier_figure(amplifier: Amplifier, sweeps: Sequence[Swept], dt_s: float,
     figure.suptitle(f"current over the current asked for, sweeps of {AMPLIFIER_A:g} A, {name}", fontsize=LABEL_PT)
     panels = figure.subplots(2, 2, sharex=True, sharey="row", height_ratios=(3, 2))
     fine = np.geomspace(*AMPLIFIER_HZ, 300)
-    model = sampled_response(fine, amplifier.pole_Hz, amplifier.delay_s, dt_s)
+    model, _ = sampled(fine, amplifier.pole_Hz, amplifier.delay_s, dt_s)
     for (magnitude, phase), way in zip(panels.T, ("before", "after"), strict=True):
         for each, colour, line in zip(sweeps, colours(len(sweeps)), LINES, strict=False):
             found = getattr(each, way)
