@@ -60,7 +60,7 @@ class Comparison:
         InputError : one has speeds and the other targets, or one has commands in A and the other in V.
         """
         for what, (one, other) in (
-            ("entries", (first.axes.columns, second.axes.columns)),
+            ("entries", tuple(" and ".join(each.axes.columns) for each in (first, second))),
             ("commands", (first.driven_by.name, second.driven_by.name)),
         ):
             if one != other:

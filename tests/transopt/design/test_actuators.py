@@ -112,7 +112,9 @@ class TestLibrary:
 
     def test_is_not_compared_with_currents(self, click: Build, library: Library) -> None:
         assert click.library is not None
-        with pytest.raises(InputError, match="nothing to compare"):
+        with pytest.raises(
+            InputError, match="of A are by target, those of B by speed m/s and grip N: nothing to compare"
+        ):
             Comparison.of(click.library, library)
 
 
