@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
+from tests.benches.actuators import LRA
 from transopt.base.errors import InputError
 from transopt.design.context import Context
 from transopt.design.optimum import optimum
@@ -24,13 +25,7 @@ from transopt.solvers.nonlinear import NonlinearProgram, solve
 from transopt.solvers.options import SolverOptions
 
 MODEL = {
-    "kind": "inertial",
-    "resonance_Hz": 150,
-    "quality": 8,
-    "moving_mass_kg": 0.003,
-    "case_mass_kg": 0.1,
-    "force_factor_N_A": 0.8,
-    "R_ohm": 8.0,
+    **LRA,
     "L_H": 1e-3,
     "nonlinear": {"force_factor": "BL*(1 - 0.3*(x/0.6e-3)**2)", "friction": "0.02*tanh(v/0.05)"},
 }
