@@ -302,7 +302,9 @@ class Online:
                 # it.
                 none = np.zeros(effect.command.size)
                 multipliers = multipliers.with_pair(TEMPERATURE, none, none)
-            if attempt is not small and not inside(problem, effect.command, only=TEMPERATURE, effect=effect):
+            if attempt is not small and not inside(
+                problem, effect.command, only=TemperatureLimit.name, effect=effect
+            ):
                 continue
             found = self._proven(effect, multipliers)
             if found.proof.accepted:
