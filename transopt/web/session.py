@@ -29,6 +29,7 @@ from transopt.web.service import Service
 from transopt.web.shown import plain
 from transopt.web.upload import Upload, uploadable
 
+OF_A_SCENE = ("change", "ask", "sound", "save", "movers")  # requests about what the window shows
 SOUND_RATE_HZ = 48000
 LOUDEST = 0.5  # recorded peak of the loudest tap over full scale: -6 dB of headroom for stronger curves
 
@@ -54,6 +55,7 @@ class Session:
         self._ended = False
         self._upload: Upload | None = None
         self._service_name = ""  # the crew's cache key of the service
+        self._opened = 0  # scenes that this window has shown
         self.service: Service | None = None
         self.thread = threading.Thread(target=self._run, name="page", daemon=True)
 
@@ -127,8 +129,10 @@ class Session:
         """Switch to another service, and to the files that were dropped for it."""
         self.service, self._service_name = service, service_name()
         self._take(upload)
+        self._opened += 1
         own = upload.names if upload else []
-        self._say({"type": "scene", **described(service), "own": own, "takes": uploadable()})
+        head = {"type": "scene", "number": self._opened}
+        self._say({**head, **described(service), "own": own, "takes": uploadable()})
 
     def _take(self, upload: Upload | None) -> None:
         if self._upload is not None:
@@ -148,6 +152,8 @@ class Session:
             "reset": lambda _: self._open(),
         }
         kind = message["type"]
+        if kind in OF_A_SCENE and message.get("scene", self._opened) != self._opened:
+            return  # it was on its way while another scene was opened, and its taps and sliders are shown no more
         if kind == "drop":
             self._drop(message, body)
         else:

@@ -112,6 +112,15 @@ def test_a_refusal_says_why_and_the_window_goes_on(window: Window) -> None:
     assert window.until("curves", id=3)
 
 
+def test_a_request_about_the_scene_before_is_left_unanswered(window: Window) -> None:
+    window.session.put({"type": "reset"})
+    assert window.until("scene")[0]["number"] == 2
+    for late in ({"type": "movers", "tap": 99}, {"type": "sound", "tap": 99}, change(1, current_A=1e3)):
+        window.session.put({**late, "scene": 1})
+    window.session.put({**change(2, current_A=3.0), "scene": 2})
+    assert window.until("curves")[0]["id"] == 2  # nothing was refused before
+
+
 @pytest.mark.parametrize("written", [True, False], ids=["as its file has it", "without a file"])
 def test_the_saved_scene_is_the_one_on_the_page_and_keeps_its_comments(tmp_path: Path, written: bool) -> None:
     opened = opened_scene("own_taps" if written else load_scene("own_taps"))

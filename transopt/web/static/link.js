@@ -7,6 +7,7 @@ export class Link {
   constructor(received, connection) {
     this.received = received;
     this.connection = connection;
+    this.scene = 0; // number of the scene that is shown; the server answers no request about one before it
     this.open();
   }
 
@@ -45,7 +46,7 @@ export class Link {
   }
 
   say(message) {
-    if (this.connected) this.socket.send(JSON.stringify(message));
+    if (this.connected) this.socket.send(JSON.stringify({ ...message, scene: this.scene }));
   }
 
   async sendFiles(files, message) {

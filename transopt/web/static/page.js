@@ -148,6 +148,7 @@ function received(message, arrays) {
 
 function opened(scene) {
   const again = state.resume;
+  link.scene = scene.number;
   if (again && state.chosen && scene.name !== state.chosen) {
     link.say({ type: "choose", name: state.chosen }); // the server began anew with another one
     return;
