@@ -21,7 +21,8 @@ CORE = sorted(path.as_posix() for path in (FIRMWARE / "src/core").glob("*.c"))
 DRIVEN = [(FIRMWARE / "replay" / name).as_posix() for name in ("td_probe.c", "td_replay.c")]
 # By name: Windows exports nothing else, and elsewhere everything is exported.
 SOLVER_CALLS = [
-    *("tr_interface", "tr_workspace", "tr_solve", "tr_shortened_workspace", "tr_shortened", "tr_linear", "tr_prove")
+    *("tr_interface", "tr_workspace", "tr_solve", "tr_shortened_workspace", "tr_shortened", "tr_linear", "tr_prove"),
+    *("tr_scaled", "tr_modal_workspace", "tr_modal"),
 ]
 RECURSION_CALLS = [
     *("tr_most_states", "tr_most_width", "tr_run", "tr_forwards", "tr_backwards"),

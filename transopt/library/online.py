@@ -21,7 +21,8 @@ from transopt.base.signals import FloatArray
 from transopt.base.threads import one_blas_thread
 from transopt.library.library import Library
 from transopt.library.other_limits import with_limits
-from transopt.library.place import Waveform, finite, interpolation_weights
+from transopt.library.place import Place, Waveform, around, finite, interpolation_weights
+from transopt.library.standing_tap import StandingTap
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel
 from transopt.plant.state_space import StateSpace
@@ -51,6 +52,7 @@ if TYPE_CHECKING:  # which loads pydantic
 TOLERANCE = 1e-9  # on gap and residuals: three digits tighter than the certificate, as in the designer
 MOST_ITERATIONS = 60  # a tap takes 10 to 30; beyond this the blend is played
 MOST_MASKS = 3  # solves until the assumed pressing of the wall agrees with the answer
+STANDING = 8  # number of sets of limits whose standing problems are cached
 FAMILIES = 64  # number of grips whose stage models are cached
 MARGIN = 24  # stages beyond the last at which a limit is expected to bind, up to which it is stated
 
@@ -139,12 +141,14 @@ class Online:
         entries = [library.parts(iv, ig) for iv, ig in np.ndindex(library.command.shape[:2])]
         self._parts = {name: max(parts[name] for parts in entries) for name in entries[0]}
         self._bound = _last_bound(library)
-        fastest, firmest = float(library.speeds_m_s[-1]), float(library.grips_N[-1])
-        problem = self._posed(self._posing, fastest, firmest, self._coil)
+        self._hardest = float(library.speeds_m_s[-1]), float(library.grips_N[-1])
+        self._found_standing: dict[tuple[tuple[str, float], ...], StandingTap | None] = {}
+        problem = self._posed(self._posing, *self._hardest, self._coil)
         # Allocate memory for all problems of a tap: without limits, with and without the temperature.
         linear_passes([_small_enough(without_limits(problem))], TOLERANCE)
         for each in (problem, problem.without(TemperatureLimit.name)):
             self._by_interior_point(each)
+        self._standing(self._posing, {})
 
     def __repr__(self) -> str:
         return f"Online({self._library!r})"
@@ -191,7 +195,6 @@ class Online:
         by_grip = interpolation_weights(library.grips_N, grip_N)
         return float(by_speed @ library.intensity @ by_grip)
 
-    @one_blas_thread()
     def solve(
         self,
         speed_m_s: float,
@@ -222,10 +225,35 @@ class Online:
         coil, remark = _heated(self._coil, limits.get("temperature_C"), winding_C, housing_C)
         if place.silent and not remark:
             remark = "nothing to play: too little grip or speed"
+        if not remark and (standing := self._standing(posing, limits)):
+            (plant,) = _made(self._plant, place.grip_N, "plant")
+            known = standing.solved(plant, place, coil, 0 if limits else self._expected(place))
+            if known is not None:
+                command, certificate = known
+                wave = Waveform(**vars(place), command=command, transient_command=command)
+                return OnlineTap(wave, certificate, "", time.perf_counter() - start)
+        with one_blas_thread():
+            wave, proof, remark = self._in_general(posing, place, coil, limits, remark)
+        return OnlineTap(wave, proof, remark, time.perf_counter() - start)
+
+    def _standing(self, posing: Posing, limits: Mapping[str, float]) -> StandingTap | None:
+        """The taps under these limits as a standing problem; None if they are not of that kind."""
+        key = tuple(sorted(limits.items()))
+        if key not in self._found_standing:
+            if len(self._found_standing) >= STANDING:
+                del self._found_standing[next(iter(self._found_standing))]
+            with one_blas_thread():
+                problem = self._posed(posing, *self._hardest, self._coil)
+                made = StandingTap.of(self._library, posing, problem, TOLERANCE, MOST_ITERATIONS)
+            self._found_standing[key] = made
+        return self._found_standing[key]
+
+    def _in_general(
+        self, posing: Posing, place: Place, coil: CoilModel | None, limits: Mapping[str, float], remark: str
+    ) -> tuple[Waveform, Certificate | None, str]:
+        """What `solve` answers for a tap of any kind; `remark` says why it is not to be solved, if it is not."""
         problem = None if remark else self._posed(posing, place.speed_m_s, place.grip_N, coil)
-        # The library's own limits bind about as long as in the nodes around.
-        expected = 0 if limits else self._expected(place.speed_m_s, place.grip_N)
-        found = remark if problem is None else self._optimum(problem, expected)
+        found = remark if problem is None else self._optimum(problem)
         if isinstance(found, str):
             wave = self._library.blend(place)
             if limits and problem is None:  # the coil is too hot at the start
@@ -233,22 +261,25 @@ class Online:
             elif limits and problem is not None and not inside(problem, wave.command):
                 wave = _silent(wave)
                 found = f"{found}; nothing is played, for the library's blend leaves these limits"
-            return OnlineTap(wave, None, found, time.perf_counter() - start)
+            return wave, None, found
         problem, answer = found
         transient = problem.transient_command(answer.command)
-        wave = Waveform(**vars(place), command=answer.command, transient_command=transient)
-        return OnlineTap(wave, answer.proof, "", time.perf_counter() - start)
+        return Waveform(**vars(place), command=answer.command, transient_command=transient), answer.proof, ""
 
-    def _expected(self, speed_m_s: float, grip_N: float) -> int:
-        """Number of stages up to the last at which a limit binds in the nodes around a place, 0 if none does."""
-        by_speed = interpolation_weights(self._library.speeds_m_s, speed_m_s)
-        by_grip = interpolation_weights(self._library.grips_N, grip_N)
-        return int(self._bound[np.ix_(by_speed > 0, by_grip > 0)].max())
+    def _expected(self, place: Place) -> int:
+        """Stages at which limits are stated first: a little beyond the last where one binds in the nodes around.
 
-    def _optimum(self, problem: TransientProblem, expected: int) -> tuple[TransientProblem, _Found] | str:
+        The library's own limits bind about as long as there; 0 if none does.
+        """
+        speeds, _ = around(self._library.speeds_m_s, place.speed_m_s)
+        grips, _ = around(self._library.grips_N, place.grip_N)
+        last = int(self._bound[speeds, grips].max())
+        return last + MARGIN if last else 0
+
+    def _optimum(self, problem: TransientProblem) -> tuple[TransientProblem, _Found] | str:
         """The problem, with the wall pressing as the answer makes it press, and that answer; or why there is none."""
         for _ in range(MOST_MASKS):
-            found = self._solved(problem, expected)
+            found = self._solved(problem)
             if found is None or not found.proof.accepted:
                 return "no certified optimum"
             if problem.wall is None:
@@ -261,38 +292,33 @@ class Online:
             problem = again
         return "the wall pushes elsewhere after every solve"
 
-    def _solved(self, problem: TransientProblem, expected: int) -> _Found | None:
+    def _solved(self, problem: TransientProblem) -> _Found | None:
         """The answer from the smallest problem that has it: without limits, without the temperature, or complete."""
         if problem.reference_is_zero:
             return self._proven(Effect(problem, np.zeros(problem.grid.stages)), Multipliers.zero(problem))
         small, free = leave_out(problem).problem, None
-        if small.thermal is not None or not expected:
-            bare = without_limits(small)
-            (linear,) = linear_passes([bare], TOLERANCE)
-            if linear.code in (SOLVED, ACCURACY):
-                free = Effect(problem, bare.free_command(linear.command))
-                if inside(problem, free.command, effect=free):
-                    multipliers = replace(Multipliers.zero(problem), hand_over=bare.hand_over(linear.gradient))
-                    found = self._proven(free, multipliers)
-                    if found.proof.accepted:
-                        return found
-        return self._limited(problem, small, expected, free)
+        bare = without_limits(small)
+        (linear,) = linear_passes([bare], TOLERANCE)
+        if linear.code in (SOLVED, ACCURACY):
+            free = Effect(problem, bare.free_command(linear.command))
+            if inside(problem, free.command, effect=free):
+                multipliers = replace(Multipliers.zero(problem), hand_over=bare.hand_over(linear.gradient))
+                found = self._proven(free, multipliers)
+                if found.proof.accepted:
+                    return found
+        return self._limited(problem, small, free)
 
-    def _limited(
-        self, problem: TransientProblem, small: TransientProblem, expected: int, free: Effect | None
-    ) -> _Found | None:
+    def _limited(self, problem: TransientProblem, small: TransientProblem, free: Effect | None) -> _Found | None:
         """The answer under limits.
 
-        Whether the temperature binds, and the last stage at which a limit is `expected` to bind, are guesses: they
-        set only the order of attempts and the length of the first search.
+        Whether and where the temperature binds is a guess: it sets only the order of attempts and the length of the
+        first search.
         """
         cold, found = small.without(TemperatureLimit.name), None
         hottest = None if small.thermal is None or free is None else _hottest(free)
         attempts = [cold] if small.thermal is None else [cold, small] if hottest is None else [small, cold]
-        if not expected and free is not None:
-            expected = _last_outside(free, cold)
         for attempt in attempts:
-            last = expected if attempt.thermal is None else max(expected, hottest or 0)
+            last = 0 if free is None or attempt.thermal is None else max(_last_outside(free, cold), hottest or 0)
             searched = self._searched(problem, attempt, last)
             if searched is None:
                 continue
@@ -314,21 +340,25 @@ class Online:
     def _searched(
         self, problem: TransientProblem, attempt: TransientProblem, last: int
     ) -> tuple[Effect, Multipliers] | None:
-        """An attempt's answer: its limits are stated up to a little after `last`, and further if it leaves them."""
+        """An attempt's answer.
+
+        Under a temperature, limits are stated up to a little after `last`, and further if the answer leaves them.
+        Without one the extension does so itself.
+        """
+        cut = last + MARGIN if attempt.thermal is not None and attempt.thermal.period_s is None else 0
         while True:
-            cut = last + MARGIN
-            if cut > 3 * attempt.free_stages // 4 or (attempt.thermal and attempt.thermal.period_s is not None):
+            if cut > 3 * attempt.free_stages // 4:
                 cut = 0  # the whole search
             answer = self._by_interior_point(attempt, cut)
             if answer is None and not cut:
                 return None
-            last = attempt.free_stages
+            late = attempt.free_stages
             if answer is not None:
                 effect = Effect(problem, answer.command)
                 late = _last_outside(effect, attempt) if cut else -1
                 if late < cut or not cut:
                     return effect, answer.multipliers
-                last = max(late, 2 * cut)
+            cut = max(late, 2 * cut) + MARGIN
 
     def _by_interior_point(self, problem: TransientProblem, cut: int = 0) -> _Answer | None:
         given = _small_enough(stages(problem))

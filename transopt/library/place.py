@@ -1,5 +1,6 @@
 """Location of a measured tap on the grid of a library, and the waveform for it."""
 
+from bisect import bisect_left
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -67,11 +68,19 @@ def finite(what: str, value: Any, unit: str) -> float:
     return float(number)
 
 
+def around(nodes: FloatArray, value: float) -> tuple[slice, tuple[float, ...]]:
+    """The one or two nodes around `value`, which lies within their range, and their weights in an interpolation."""
+    after = bisect_left(nodes, value)
+    if value == nodes[after]:
+        return slice(after, after + 1), (1.0,)
+    share = float((value - nodes[after - 1]) / (nodes[after] - nodes[after - 1]))
+    return slice(after - 1, after + 1), (1 - share, share)
+
+
 def interpolation_weights(nodes: FloatArray, value: float) -> FloatArray:
     """(n,) weights of linear interpolation at `value`, which lies within the nodes' range."""
-    weights, after = np.zeros(nodes.size), int(np.searchsorted(nodes, value))
-    share = 1.0 if after == 0 else (value - nodes[after - 1]) / (nodes[after] - nodes[after - 1])
-    weights[after - 1], weights[after] = 1 - share, share
+    (between, own), weights = around(nodes, value), np.zeros(nodes.size)
+    weights[between] = own
     return weights
 
 

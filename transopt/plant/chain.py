@@ -6,6 +6,7 @@ Every model of a device whose masses are known is such a chain (`transopt.plant.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from types import MappingProxyType
 
 import numpy as np
@@ -78,11 +79,18 @@ def chain(
     A[n:, n:] = -inverse_mass[:, None] * (joined.T * damping @ joined)
     B = np.zeros((2 * n, 1))
     B[n + driven, 0] = force_per_current_N_A * inverse_mass[driven]
+    row = slice(n + stylus, n + stylus + 1)
+    return StateSpace(A, B, A[row].copy(), B[row].copy(), {**_outputs(n, tuple(names)), **further})
+
+
+@lru_cache(maxsize=16)
+def _outputs(n: int, names: tuple[str, ...]) -> Mapping[str, Output]:
+    """Positions and velocities of n masses by the names of the first ones, which all chains of them share."""
     outputs: dict[str, Output] = {}
     for mass, name in ((0, ""), *enumerate(names)):
         position, velocity = np.zeros((1, 2 * n)), np.zeros((1, 2 * n))
         position[0, mass:n], velocity[0, n + mass] = 1.0, 1.0
+        position.flags.writeable = velocity.flags.writeable = False
         outputs[f"{name} {POSITION}".strip()] = Output(position, "m", POSITION)
         outputs[f"{name} {VELOCITY}".strip()] = Output(velocity, "m/s", VELOCITY)
-    row = slice(n + stylus, n + stylus + 1)
-    return StateSpace(A, B, A[row].copy(), B[row].copy(), {**outputs, **further})
+    return MappingProxyType(outputs)

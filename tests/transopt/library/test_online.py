@@ -174,12 +174,10 @@ def test_without_grip_nothing_is_solved(solver: Online) -> None:
     assert not tap.wave.command.any()
 
 
-def test_what_is_not_certified_is_not_played(
-    library: Library, solver: Online, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_not_certified_is_not_played(library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two iterations are too few."""
     monkeypatch.setattr(online, "MOST_ITERATIONS", 2)
-    tap = solver.solve(0.4, 5.0)
+    tap = Online(library).solve(0.4, 5.0)
     assert tap.remark == "no certified optimum"
     np.testing.assert_array_equal(tap.wave.command, library.at(0.4, 5.0).command)
 
@@ -269,9 +267,10 @@ class TestOtherLimits:
             solver.solve(0.3, 2.0, limits={name: 20.0})
 
     def test_without_an_optimum_the_blend_is_played_only_within_the_limits(
-        self, library: Library, solver: Online, monkeypatch: pytest.MonkeyPatch
+        self, library: Library, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setattr(online, "MOST_ITERATIONS", 2)
+        solver = Online(library)
         tight, loose = (solver.solve(0.4, 5.0, limits={"current_A": limit}) for limit in (3.0, 4.5))
         assert tight.wave.silent
         assert not tight.wave.command.any()

@@ -22,7 +22,7 @@ from transopt.solvers.stage_data import Stages, records_of
 
 EXTENSION = "_riccati.pyd" if os.name == "nt" else "_riccati.so"
 MOST_STATES, MOST_MOTORS, MOST_ROWS = 96, 4, 128  # of riccati.c
-INTERFACE = 10  # version as in `tr_interface` of riccati.c; both change with the meaning of arguments or results
+INTERFACE = 11  # version as in `tr_interface` of riccati.c; both change with the meaning of arguments or results
 
 
 class _Host(ct.Structure):
@@ -61,6 +61,10 @@ def _library() -> ct.CDLL | None:
     library.tr_shortened_workspace.restype, library.tr_shortened_workspace.argtypes = ct.c_size_t, (array,)
     library.tr_shortened.argtypes = (array, ct.c_int, ct.POINTER(_Options), array, array)
     library.tr_prove.argtypes = (ct.c_int, array, array, array)
+    library.tr_scaled.argtypes = (array, array, array)
+    library.tr_modal_workspace.restype, library.tr_modal_workspace.argtypes = ct.c_size_t, (array,)
+    library.tr_modal.restype = ct.c_double
+    library.tr_modal.argtypes = (*(array,) * 6, ct.c_double, array, array)
     return library
 
 

@@ -1,0 +1,245 @@
+"""A problem that stands while the device and the target change from tap to tap: nothing is allocated for one of them.
+
+`stage_data` states any problem. Most taps of one library differ only in a device of a fixed number of states and in a
+target; their stages are made here in two compiled calls (`native/device.c`), from the same formulas, into the arrays
+of one problem. The tests hold both ways equal.
+"""
+
+import ctypes as ct
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from transopt.base.recursions import address
+from transopt.base.signals import FloatArray
+from transopt.plant.state_space import StateSpace
+from transopt.problem.answer import OBJECTIVE_SCALE
+from transopt.problem.limits.row import COMMAND, HELD, INPUT
+from transopt.problem.problem import TransientProblem
+from transopt.problem.stage import layout
+from transopt.solvers.modes import MOST_CONDITION
+from transopt.solvers.native import extension
+from transopt.solvers.native.extension import ACCURACY, PROOF, RESULT, SOLVED
+from transopt.solvers.stage_data import RECORD, Stages, stages, without_limits
+
+FILTER = 6  # numbers of an error filter, as `TR_FILTER` of device.h
+MOST_STATES = 32  # `TR_MOST_DEVICE`
+TIGHTER = 0.01  # on the tolerance of a short search, as in riccati.c
+OWN = ("A", "C", "end_gain", "end_target", "reference")  # arrays of the stage data that a tap changes
+
+
+class _Device(ct.Structure):
+    _fields_ = (
+        *((name, ct.c_int) for name in ("plant", "terms", "stages", "after", "stride")),
+        *((name, ct.c_void_p) for name in ("flow", "output", "filter", "root")),
+        *((name, ct.c_double) for name in ("input_scale", "by")),
+    )
+
+
+class _Modes(ct.Structure):
+    _fields_ = (*((name, ct.c_void_p) for name in ("A", "C", "end_gain", "end_target")), ("rest", ct.c_double))
+
+
+class Proof(NamedTuple):
+    """Numbers of a certificate (`extension.Proofs`) in SI units, with the largest violation of each row."""
+
+    excess: list[float]
+    merit: float
+    residual: float
+    dual_residual: float
+    gap_by_command: float
+    gap_by_movement: float
+
+
+def _structure(fields: list[tuple[str, np.dtype[Any]]], arrays: Mapping[str, FloatArray]) -> NDArray[np.void]:
+    """A C structure with the addresses of arrays by the name of the field."""
+    found = np.zeros(1, dtype=np.dtype(fields, align=True))
+    for name, array in arrays.items():
+        found[name] = address(array)
+    return found
+
+
+def stands(problem: TransientProblem) -> bool:
+    """Whether a problem, without its temperature, is of the kind that `Standing` takes."""
+    stage = problem.stage
+    return (
+        extension.available
+        and stage.amplifier is not None
+        and stage.motors == stage.tracked == 1
+        and problem.wall is None
+        and not problem.spread
+        and problem.intensity == problem.heat_price == 0
+        and stage.A.shape[0] == stage.plant.order + 1
+        and not stage.outputs
+        and layout(problem).states <= MOST_STATES
+        and problem.limits.are_hashable
+        and all(row.linear and set(row.outputs) <= {INPUT, COMMAND, HELD} for _, row in problem.rows())
+    )
+
+
+class Standing:
+    """Stages, searches and proofs of a tap, in arrays allocated once; for use by one thread at a time.
+
+    Parameters
+    ----------
+    problem : any tap's problem that `stands`, without a temperature limit.
+    small : the same without the limits that no command reaches.
+    tolerance, most_iterations : as of `extension.interior_points`.
+
+    Attributes
+    ----------
+    plant : p, the number of the plant's states.
+    """
+
+    def __init__(
+        self, problem: TransientProblem, small: TransientProblem, tolerance: float, most_iterations: int
+    ) -> None:
+        whole, searched, bare = stages(problem), stages(small), without_limits(problem)
+        self.problem, self._scale, self._free = problem, whole.input_scale, problem.free_stages
+        self._kept: list[object] = [whole, searched, bare]  # keeps alive what the records point to
+        self._made(problem)
+        n, current = whole.sizes["states"], layout(problem).current
+        self._records = [self._record(each, n, current) for each in (bare, searched, whole)]
+        N, rows, wide = problem.grid.stages, len(searched.limits.kinds), len(whole.limits.kinds)
+        self._places = [whole.limits.kinds.index(kind) for kind in searched.limits.kinds]
+        self._units = whole.limits.unit * [limit.stated for limit, _ in problem.rows()]
+        self._command, self._gradient, size = np.zeros((3, N))
+        self._sides, self._by_row = np.zeros((2, N + 1, rows)), np.zeros((2, N, wide))
+        self._proven, self._by_rule, self._excess = np.zeros(N), np.zeros(N - self._free), np.zeros(wide)
+        searches = {"command": self._command, "gradient": self._gradient, "size": size}
+        self._result = _structure(RESULT, searches | {"lower": self._sides[0], "upper": self._sides[1]})
+        proves = {"command": self._proven, "by_rule": self._by_rule, "excess": self._excess}
+        asked = whole.limits.asked
+        self._proof = _structure(PROOF, proves | {"lower": asked[0], "upper": asked[1]})
+        self._kept.append(size)
+        self._options, self._tighter = (
+            extension._Options(most_iterations, by * tolerance, extension._HOST) for by in (1.0, TIGHTER)
+        )
+        assert extension._LIBRARY is not None
+        self._c = c = extension._LIBRARY
+        self._at = [record.ctypes.data for record in self._records]
+        self._into, self._proof_at = self._result.ctypes.data, self._proof.ctypes.data
+        needed = [c.tr_workspace(1, each) for each in self._at]
+        needed += [c.tr_shortened_workspace(self._at[1]), c.tr_modal_workspace(ct.byref(self._device))]
+        space = np.zeros(max(needed))
+        self._kept.append(space)
+        self._space = address(space)
+
+    def _made(self, problem: TransientProblem) -> None:
+        """Allocate what a tap changes, and what the compiled calls make it from."""
+        where, amplifier, grid = layout(problem), problem.stage.amplifier, problem.grid
+        assert amplifier is not None
+        n, terms, p = where.states, len(problem.terms), where.plants[0]
+        self.plant, rate = p, amplifier.rate_rad_s * grid.dt_s
+        self._flow, self._output = np.zeros((p + 2, p + 2)), np.zeros(p + 1)
+        self._flow[p, p:] = -rate, rate
+        self._scaled, self._outputs = np.zeros((n, n)), np.zeros((terms, n))
+        filters = np.array([_filter(term.error_filter) for term in problem.terms])
+        roots = np.sqrt([term.after for term in problem.terms])
+        self._kept += [filters, roots]
+        made = (np.zeros(shape) for shape in ((n, n), (terms, n), (n - 1, n), (n - 1,), (grid.stages, terms)))
+        self._arrays = dict(zip(OWN, made, strict=True))
+        self._device = _Device(
+            *(p, terms, grid.stages, grid.after_stages, problem.target.lost + grid.stages + grid.after_stages),
+            *map(address, (self._flow, self._output, filters, roots)),
+            *(self._scale, np.sqrt(2 / OBJECTIVE_SCALE)),
+        )
+        self._modes = _Modes(*(address(self._arrays[name]) for name in OWN[:-1]))
+
+    def _record(self, given: Stages, n: int, current: int) -> NDArray[np.void]:
+        """`tr_problem` of stage data with the arrays of this object and its modes in the order of `tr_modal`."""
+        record = np.frombuffer(bytearray(given.record), dtype=RECORD)
+        for name in OWN:
+            record[name] = address(self._arrays[name])
+        record["ends"], record["current"] = n - 1, n - 2
+        if given.sizes["rows"]:
+            # Rows are sums of the current and of commands, which are modes themselves.
+            G = np.zeros((given.sizes["rows"], n))
+            G[:, n - 2], G[:, n - 1] = given.limits.G[:, current], given.limits.G[:, n - 1]
+            record["G"] = address(G)
+            self._kept.append(G)
+        return record
+
+    def drive(self, plant: StateSpace) -> None:
+        """Take a plant of p states, whose stages `poses` makes."""
+        p, dt_s = self.plant, self.problem.grid.dt_s
+        np.multiply(plant.A, dt_s, out=self._flow[:p, :p])
+        np.multiply(plant.B[:, 0], dt_s, out=self._flow[:p, p])
+        self._output[:p], self._output[p] = plant.C[0], plant.D[0, 0]
+
+    def poses(self, wanted: FloatArray, energy_m2_s4: float, lost: float) -> bool:
+        """Make the stages of the plant taken last and of a target; False if they have no modes.
+
+        Parameters
+        ----------
+        wanted : (T, L + N + M) target through every term's filter, contiguous.
+        energy_m2_s4 : E of the target, > 0. lost : the lost samples' part of it, over E.
+        """
+        c, device, unit = self._c, ct.byref(self._device), math.sqrt(energy_m2_s4)
+        stage = address(self._scaled), address(self._outputs)
+        if not c.tr_scaled(device, *stage):
+            return False
+        modes = [np.ascontiguousarray(each, dtype=complex) for each in np.linalg.eig(self._scaled[:-1, :-1])]
+        first, end = self.problem.target.lost, self.problem.target.lost + self.problem.grid.stages
+        after = address(wanted) + wanted.itemsize * end
+        given = *map(address, modes), after, unit, self._space
+        condition = c.tr_modal(device, *stage, *given, ct.byref(self._modes))
+        np.divide(wanted[:, first:end].T, unit, out=self._arrays["reference"])
+        for record in self._records:
+            record["constant"] = (lost + self._modes.rest) / OBJECTIVE_SCALE
+        return bool(condition <= MOST_CONDITION)
+
+    def unlimited(self) -> FloatArray | None:
+        """(N,) the optimum without limits [A]; None if there is none."""
+        self._c.tr_linear(1, self._at[0], ct.byref(self._options), self._space, self._into)
+        return self._found(bounded=False)
+
+    def limited(self, cut: int = 0) -> FloatArray | None:
+        """(N,) the optimum, with a `cut` only under the limits at the stages before it [A]; None if there is none."""
+        if cut:
+            self._sides[:, cut:] = 0.0
+            self._c.tr_shortened(self._at[1], cut, ct.byref(self._tighter), self._space, self._into)
+        else:
+            self._c.tr_solve(1, self._at[1], ct.byref(self._options), self._space, self._into)
+        return self._found(bounded=True)
+
+    def _found(self, *, bounded: bool) -> FloatArray | None:
+        if self._result["code"][0] not in (SOLVED, ACCURACY):
+            return None
+        command = self._command * self._scale
+        if bounded:
+            bound = self.problem.command_bound
+            np.clip(command, -bound, bound, out=command)
+            by_row = self._sides[1, :-1] - self._sides[0, :-1]
+            self._by_row[1][:, self._places], self._by_row[0][:, self._places] = by_row, -by_row
+            np.maximum(self._by_row, 0.0, out=self._by_row)
+        command[self._free :] = 0.0
+        np.divide(command, self._scale, out=self._proven)
+        np.negative(self._gradient[self._free :], out=self._by_rule)
+        for side, name in enumerate(("by_lower", "by_upper")):
+            self._proof[name] = address(self._by_row[side]) if bounded else 0
+        return command
+
+    def proven(self) -> Proof:
+        """The proof of the command that was found last."""
+        self._c.tr_prove(1, self._at[2], self._space, self._proof_at)
+        *_, merit, slack, residual, dual, by_command, by_movement = self._proof[0].item()
+        return Proof(
+            (self._excess * self._units).tolist(),
+            merit * OBJECTIVE_SCALE,
+            residual * self._scale,
+            dual * OBJECTIVE_SCALE / self._scale,
+            (by_command + slack) * OBJECTIVE_SCALE,
+            (by_movement + slack) * OBJECTIVE_SCALE,
+        )
+
+
+def _filter(error_filter: Any) -> list[float]:
+    """An error filter as device.c takes it: whether there is one, a1, a2, its outputs by input and by both states."""
+    if error_filter is None:
+        return [0.0] * FILTER
+    A, _, C, D = error_filter.state_space()
+    return [1.0, *(-A[0]).tolist(), float(D[0, 0]), *C[0].tolist()]
