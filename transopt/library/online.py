@@ -21,7 +21,7 @@ from transopt.base.signals import FloatArray
 from transopt.base.threads import one_blas_thread
 from transopt.library.library import Library
 from transopt.library.other_limits import with_limits
-from transopt.library.place import Place, Waveform, around, finite, interpolation_weights
+from transopt.library.place import Between, Place, Waveform, finite, interpolation_weights
 from transopt.library.standing_tap import StandingTap
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel
@@ -227,7 +227,9 @@ class Online:
             remark = "nothing to play: too little grip or speed"
         if not remark and (standing := self._standing(posing, limits)):
             (plant,) = _made(self._plant, place.grip_N, "plant")
-            known = standing.solved(plant, place, coil, 0 if limits else self._expected(place))
+            between = Between.of_place(self._library.speeds_m_s, self._library.grips_N, place)
+            cut = 0 if limits else self._expected(between)
+            known = standing.solved(plant, place.speed_m_s, between, coil, cut)
             if known is not None:
                 command, certificate = known
                 wave = Waveform(**vars(place), command=command, transient_command=command)
@@ -266,15 +268,14 @@ class Online:
         transient = problem.transient_command(answer.command)
         return Waveform(**vars(place), command=answer.command, transient_command=transient), answer.proof, ""
 
-    def _expected(self, place: Place) -> int:
+    def _expected(self, between: Between) -> int:
         """Stages at which limits are stated first: a little beyond the last where one binds in the nodes around.
 
-        The library's own limits bind about as long as there; 0 if none does.
+        The mean of those nodes in which one does, by their weights; 0 if there is none.
         """
-        speeds, _ = around(self._library.speeds_m_s, place.speed_m_s)
-        grips, _ = around(self._library.grips_N, place.grip_N)
-        last = int(self._bound[speeds, grips].max())
-        return last + MARGIN if last else 0
+        bound = self._bound[between.at].ravel()
+        weight = float(between.weights @ (bound > 0))
+        return MARGIN + round(float(between.weights @ bound) / weight) if weight > 0 else 0
 
     def _optimum(self, problem: TransientProblem) -> tuple[TransientProblem, _Found] | str:
         """The problem, with the wall pressing as the answer makes it press, and that answer; or why there is none."""

@@ -77,6 +77,30 @@ def around(nodes: FloatArray, value: float) -> tuple[slice, tuple[float, ...]]:
     return slice(after - 1, after + 1), (1 - share, share)
 
 
+@dataclass(frozen=True)
+class Between:
+    """The nodes of a grid around a place, up to two speeds and two grips.
+
+    Attributes
+    ----------
+    at : indices of these speeds and grips.
+    weights : (speeds grips,) of these nodes in a bilinear interpolation.
+    """
+
+    at: tuple[slice, slice]
+    weights: FloatArray
+
+    @classmethod
+    def of_place(cls, speeds_m_s: FloatArray, grips_N: FloatArray, place: Place) -> "Between":
+        (speeds, by_speed), (grips, by_grip) = around(speeds_m_s, place.speed_m_s), around(grips_N, place.grip_N)
+        return cls((speeds, grips), np.array([v * g for v in by_speed for g in by_grip]))
+
+    def of(self, nodes: FloatArray) -> FloatArray:
+        """(...) bilinear interpolation of a number or a course (v, g, ...) of the nodes."""
+        there = nodes[self.at]
+        return np.asarray(np.einsum("n,n...->...", self.weights, there.reshape(self.weights.size, *there.shape[2:])))
+
+
 def interpolation_weights(nodes: FloatArray, value: float) -> FloatArray:
     """(n,) weights of linear interpolation at `value`, which lies within the nodes' range."""
     (between, own), weights = around(nodes, value), np.zeros(nodes.size)

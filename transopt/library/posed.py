@@ -76,7 +76,7 @@ class Posed(Held):
                 "show, compare and export take it; for all else solve the scene without model.nonlinear"
             )
 
-    @property
+    @cached_property
     def axes(self) -> Axes:
         """The axes of its entries: speeds and grips, or named targets."""
         names = tuple(map(str, self.targets)) if self.scene().targets else ()

@@ -5,17 +5,20 @@ same for every tap; then only the device's matrices and the target differ from t
 certified for exactly the grip asked; whatever it does not answer is left to `online`'s general way.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from transopt.base.recursions import Recursion
 from transopt.base.signals import FloatArray
 from transopt.library.library import Library
-from transopt.library.place import Place, around
+from transopt.library.place import Between
 from transopt.plant.coil import CoilModel
 from transopt.plant.state_space import StateSpace
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate
 from transopt.problem.heat import winding_limit_C
 from transopt.problem.leave_out import leave_out
+from transopt.problem.limits.row import COMMAND, HELD, INPUT
 from transopt.problem.limits.temperature import TemperatureLimit, temperature_limit
 from transopt.problem.objective.target import ZERO_M_S2
 from transopt.problem.objective.tracking import Tracking
@@ -24,6 +27,7 @@ from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import left_over
 from transopt.solvers.standing import Proof, Standing, stands
 
+NEAR = 0.02  # share of a limit within which a guess of the optimum without limits may leave it
 SURELY_A_TAP = 10.0  # rms of a target, in units of that which counts as zero, from which no closer look is needed
 
 
@@ -38,22 +42,25 @@ class StandingTap:
 
     def __init__(self, library: Library, problem: TransientProblem, tolerance: float, most_iterations: int) -> None:
         whole = problem.without(TemperatureLimit.name)
-        amplifier, grid = whole.stage.amplifier, whole.grid
+        amplifier, grid, nodes = whole.stage.amplifier, whole.grid, library.command.shape[:2]
         assert amplifier is not None
         self._standing = Standing(whole, leave_out(whole).problem, tolerance, most_iterations)
         self._problem, self._thermal = whole, problem.thermal
-        self._speeds_m_s, self._grips_N = library.speeds_m_s, library.grips_N
-        nodes = library.command.shape[:2]
-        costs = [Tracking(library.wanted_of(*at).target, whole.terms) for at in np.ndindex(*nodes)]
-        # A filter is linear: the filtered target of a tap is the blend of the nodes' filtered ones, r / v.
-        courses = np.stack([each.wanted.ravel() for each in costs]).reshape(*nodes, -1)
-        self._shapes_1_s = courses / library.speeds_m_s[:, None, None]
-        weights, lost = costs[0].weights, np.arange(costs[0].weights.shape[1]) < whole.target.lost
-        self._weights, self._lost = weights, np.where(lost, weights, 0.0)
-        self._least_m2_s4 = SURELY_A_TAP**2 * ZERO_M_S2**2 * float(weights.sum())
         self._decay = float(np.exp(-amplifier.rate_rad_s * grid.dt_s))
         self._lag = Recursion(np.array([[self._decay]]))
         self._takes_s = (grid.stages + 1) * grid.dt_s + grid.delay_s
+        costs = [Tracking(library.wanted_of(*at).target, whole.terms) for at in np.ndindex(*nodes)]
+        # A filter is linear: the filtered target of a tap is the blend of the nodes' filtered ones, r / v.
+        shapes = np.stack([each.wanted.ravel() for each in costs]).reshape(*nodes, -1)
+        self._courses_s_m = shapes / library.speeds_m_s[:, None, None]
+        weights = self._weights = costs[0].weights
+        self._lost = np.where(np.arange(weights.shape[1]) < whole.target.lost, weights, 0.0)
+        self._least_m2_s4 = (SURELY_A_TAP * ZERO_M_S2) ** 2 * float(weights.sum())
+        lower, upper = zip(*(row.bounds(grid.stages) for _, row in whole.rows()), strict=True)
+        self._stated = np.array([limit.stated for limit, _ in whole.rows()])[:, None]
+        self._lower, self._upper = np.stack(lower) / self._stated, np.stack(upper) / self._stated
+        values = [self._values_at_node(library, *at) for at in np.ndindex(*nodes)]
+        self._courses_s_m = np.concatenate([self._courses_s_m, np.stack(values).reshape(*nodes, -1)], axis=2)
 
     @classmethod
     def of(
@@ -67,7 +74,7 @@ class StandingTap:
         return cls(library, problem, tolerance, most_iterations)
 
     def solved(
-        self, plant: StateSpace, place: Place, coil: CoilModel | None, cut: int
+        self, plant: StateSpace, speed_m_s: float, between: Between, coil: CoilModel | None, cut: int
     ) -> tuple[FloatArray, Certificate] | None:
         """Command (N,) and accepted certificate of a tap; None where the general way has to look.
 
@@ -76,38 +83,64 @@ class StandingTap:
         coil : at its temperatures at the start; None without one.
         cut : number of stages at which limits are stated first; 0 if none is expected to bind.
         """
-        standing, p = self._standing, self._standing.plant
-        if plant.A.shape != (p, p) or plant.B.shape != (p, 1) or plant.C.shape != (1, p):
+        size, courses = self._weights.size, speed_m_s * between.of(self._courses_s_m)
+        if not self._poses(plant, courses[:size]):
             return None
-        standing.drive(plant)
-        speeds, by_speed = around(self._speeds_m_s, place.speed_m_s)
-        grips, by_grip = around(self._grips_N, place.grip_N)
-        shape_1_s = np.einsum("v,g,vgk->k", by_speed, by_grip, self._shapes_1_s[speeds, grips])
-        wanted = (place.speed_m_s * shape_1_s).reshape(self._weights.shape)
-        squares = wanted * wanted
-        energy, lost = (float(np.vdot(weights, squares)) for weights in (self._weights, self._lost))
-        if not self._least_m2_s4 < energy < np.inf or not standing.poses(wanted, energy, lost / energy):
-            return None
-        return self._certified(coil, cut)
-
-    def _certified(self, coil: CoilModel | None, cut: int) -> tuple[FloatArray, Certificate] | None:
-        """The optimum without limits if it keeps them; else under limits at the first stages, then at further ones."""
-        most = 3 * self._problem.free_stages // 4
-        cuts = [each for each in (cut, 2 * cut) if 0 < each <= most]
-        attempts: list[int | None] = [*cuts, 0] if cut else [None, 0]
-        for attempt in attempts:
-            command = self._standing.unlimited() if attempt is None else self._standing.limited(attempt)
+        for stated in self._attempts(courses[size:].reshape(self._lower.shape), cut):
+            command = self._standing.unlimited() if stated is None else self._standing.limited(stated)
             if command is None:
                 continue
             proof = self._standing.proven()
-            if attempt is None and not max(proof.excess) <= 0:
-                continue
-            if not self._warmer_K(command, coil) <= 0:
-                return None
             certificate = self._certificate(proof, heats=coil is not None)
-            if certificate.accepted:
-                return command, certificate
+            if certificate.accepted and (stated is not None or max(proof.excess) <= 0):
+                return (command, certificate) if self._warmer_K(command, coil) <= 0 else None
         return None
+
+    def _poses(self, plant: StateSpace, targets: FloatArray) -> bool:
+        """Make the stages of a plant and of targets (T (L + N + M),); False if the problem does not take them."""
+        standing, p = self._standing, self._standing.plant
+        if plant.A.shape != (p, p) or plant.B.shape != (p, 1) or plant.C.shape != (1, p):
+            return False
+        standing.drive(plant)
+        wanted = targets.reshape(self._weights.shape)
+        squares = wanted * wanted
+        energy, lost = (float(np.vdot(weights, squares)) for weights in (self._weights, self._lost))
+        return self._least_m2_s4 < energy < np.inf and standing.poses(wanted, energy, lost / energy)
+
+    def _attempts(self, values: FloatArray, cut: int) -> Iterator[int | None]:
+        """Numbers of stages at which limits are stated, in the order of trial; None for no limits, 0 for all stages.
+
+        Parameters
+        ----------
+        values : (rows, N) of the optimum without limits, blended from the nodes' own, over the limits. They tell
+            nearly always whether one binds.
+        """
+        excess = float(np.maximum(values - self._upper, self._lower - values).max())
+        if not excess > -NEAR:
+            yield None
+        if not excess > NEAR:
+            cut = 3 * cut // 2  # limits that only just bind do so later than in the nodes
+        while 0 < cut <= 3 * self._problem.free_stages // 4:
+            yield cut
+            cut = 3 * cut // 2
+        yield 0
+
+    def _values_at_node(self, library: Library, iv: int, ig: int) -> FloatArray:
+        """(rows N,) of the optimum without limits in a node, over the limits and the speed; NaN if there is none."""
+        command = None
+        if self._poses(library.plant(ig), library.speeds_m_s[iv] * self._courses_s_m[iv, ig]):
+            command = self._standing.unlimited()
+        if command is None:
+            return np.full(self._lower.size, np.nan)
+        outputs = {INPUT: self._current(command), COMMAND: command, HELD: np.append(0.0, command[:-1])}
+        rows = [sum(by * outputs[name] for name, by in row.outputs.items()) for _, row in self._problem.rows()]
+        return np.asarray((np.stack(rows) / self._stated / library.speeds_m_s[iv]).ravel())
+
+    def _current(self, command: FloatArray) -> FloatArray:
+        """(N,) current at the switching instants under a command."""
+        forcing = np.zeros((command.size, 1))
+        forcing[1:, 0] = (1 - self._decay) * command[:-1]
+        return self._lag.run(forcing)[:, 0]
 
     def _certificate(self, proof: Proof, *, heats: bool) -> Certificate:
         """The certificate from a proof's numbers, as `solvers.prove` makes it."""
@@ -136,8 +169,6 @@ class StandingTap:
         budget, limit = self._thermal.budget, self._problem.limits.input_limit
         if coil.adiabatic_bound_C(limit, self._takes_s) <= winding_limit_C(coil, budget):
             return 0.0
-        forcing = np.zeros((command.size, 1))
-        forcing[1:, 0] = (1 - self._decay) * command[:-1]
-        current = self._lag.run(forcing)[:, 0]
+        current = self._current(command)
         stated = temperature_limit(coil, self._problem.stage.amplifier, self._problem.grid, budget)
         return float((stated.temperatures_C(current, command) - stated.bounds_C).max())

@@ -12,6 +12,7 @@ from types import MappingProxyType
 import numpy as np
 
 from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
 from transopt.plant.state_space import POSITION, VELOCITY, Output, StateSpace
 
 
@@ -67,8 +68,7 @@ def chain(
                     f"model: {field} of link {j + 1} of the chain = {value:g}: must be >= 0 and finite (passive)"
                 )
     inverse_mass = 1.0 / np.asarray(masses_kg, dtype=float)
-    # Row j of `difference` gives the elongation of link j from the positions.
-    difference = np.eye(n) - np.eye(n, k=1)
+    difference = _difference(n)
     joined = difference[: len(links)]
     stiffness = np.array([link.stiffness_N_m for link in links])
     damping = np.array([link.damping_N_s_m for link in links])
@@ -81,6 +81,14 @@ def chain(
     B[n + driven, 0] = force_per_current_N_A * inverse_mass[driven]
     row = slice(n + stylus, n + stylus + 1)
     return StateSpace(A, B, A[row].copy(), B[row].copy(), {**_outputs(n, tuple(names)), **further})
+
+
+@lru_cache(maxsize=16)
+def _difference(n: int) -> FloatArray:
+    """(n, n) whose row j gives the elongation of link j from the positions."""
+    found = np.eye(n) - np.eye(n, k=1)
+    found.flags.writeable = False  # all chains of n masses share it
+    return found
 
 
 @lru_cache(maxsize=16)

@@ -110,6 +110,7 @@ class Standing:
         self._sides, self._by_row = np.zeros((2, N + 1, rows)), np.zeros((2, N, wide))
         self._proven, self._by_rule, self._excess = np.zeros(N), np.zeros(N - self._free), np.zeros(wide)
         searches = {"command": self._command, "gradient": self._gradient, "size": size}
+        self._by_row_at = dict(zip(("by_lower", "by_upper"), map(address, self._by_row), strict=True))
         self._result = _structure(RESULT, searches | {"lower": self._sides[0], "upper": self._sides[1]})
         proves = {"command": self._proven, "by_rule": self._by_rule, "excess": self._excess}
         asked = whole.limits.asked
@@ -212,15 +213,17 @@ class Standing:
         command = self._command * self._scale
         if bounded:
             bound = self.problem.command_bound
-            np.clip(command, -bound, bound, out=command)
-            by_row = self._sides[1, :-1] - self._sides[0, :-1]
-            self._by_row[1][:, self._places], self._by_row[0][:, self._places] = by_row, -by_row
+            np.minimum(np.maximum(command, -bound, out=command), bound, out=command)
+            lower, upper = self._sides[:, :-1]
+            for row, place in enumerate(self._places):
+                np.subtract(upper[:, row], lower[:, row], out=self._by_row[1][:, place])
+            np.negative(self._by_row[1], out=self._by_row[0])
             np.maximum(self._by_row, 0.0, out=self._by_row)
         command[self._free :] = 0.0
         np.divide(command, self._scale, out=self._proven)
         np.negative(self._gradient[self._free :], out=self._by_rule)
-        for side, name in enumerate(("by_lower", "by_upper")):
-            self._proof[name] = address(self._by_row[side]) if bounded else 0
+        for name, at in self._by_row_at.items():
+            self._proof[name] = at if bounded else 0
         return command
 
     def proven(self) -> Proof:
