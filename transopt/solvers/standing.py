@@ -92,14 +92,17 @@ class Standing:
     Attributes
     ----------
     plant : p, the number of the plant's states.
+    given : stage data of the problem, of which a tap changes the arrays `OWN`.
     """
+
+    _kept: list[object]
 
     def __init__(
         self, problem: TransientProblem, small: TransientProblem, tolerance: float, most_iterations: int
     ) -> None:
         whole, searched, bare = stages(problem), stages(small), without_limits(problem)
         self.problem, self._scale, self._free = problem, whole.input_scale, problem.free_stages
-        self._kept: list[object] = [whole, searched, bare]  # keeps alive what the records point to
+        self.given, self._kept = whole, [searched, bare]  # what the records point to is kept alive
         self._made(problem)
         n, current = whole.sizes["states"], layout(problem).current
         self._records = [self._record(each, n, current) for each in (bare, searched, whole)]
@@ -200,8 +203,8 @@ class Standing:
 
     def limited(self, cut: int = 0) -> FloatArray | None:
         """(N,) the optimum, with a `cut` only under the limits at the stages before it [A]; None if there is none."""
+        self._sides[:, cut:] = 0.0  # a search over the first stages does not write the others' multipliers
         if cut:
-            self._sides[:, cut:] = 0.0
             self._c.tr_shortened(self._at[1], cut, ct.byref(self._tighter), self._space, self._into)
         else:
             self._c.tr_solve(1, self._at[1], ct.byref(self._options), self._space, self._into)

@@ -166,10 +166,11 @@ int tr_scaled(const tr_device *d, double *A, double *C)
     }
     sizes(n, d->stages, A, size);
     size[p] = 1.0;
+    int finite = 1;
     for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) A[i * n + j] *= size[j] / size[i];
-    for (int i = 0; i < d->terms * n; i++) C[i] *= size[i % n];
-    return n;
+        for (int j = 0; j < n; j++) A[i * n + j] *= size[j] / size[i], finite &= fabs(A[i * n + j]) < INFINITY;
+    for (int i = 0; i < d->terms * n; i++) C[i] *= size[i % n], finite &= fabs(C[i]) < INFINITY;
+    return finite ? n : 0;
 }
 
 /* Sum of products, in lanes that the compiler may work on side by side. */
