@@ -13,7 +13,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from transopt.base.errors import InputError
 from transopt.base.shown import brief, cut
@@ -21,8 +20,8 @@ from transopt.base.signals import FloatArray
 from transopt.base.threads import one_blas_thread
 from transopt.library.library import Library
 from transopt.library.other_limits import with_limits
-from transopt.library.place import Between, Place, Waveform, finite, interpolation_weights
-from transopt.library.standing_tap import StandingTap
+from transopt.library.place import Place, Waveform, finite, interpolation_weights
+from transopt.library.standing_tap import MARGIN, StandingTap
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel
 from transopt.plant.state_space import StateSpace
@@ -54,7 +53,6 @@ MOST_ITERATIONS = 60  # a tap takes 10 to 30; beyond this the blend is played
 MOST_MASKS = 3  # solves until the assumed pressing of the wall agrees with the answer
 STANDING = 8  # number of sets of limits whose standing problems are cached
 FAMILIES = 64  # number of grips whose stage models are cached
-MARGIN = 24  # stages beyond the last at which a limit is expected to bind, up to which it is stated
 
 
 @dataclass(frozen=True)
@@ -140,7 +138,6 @@ class Online:
         self._posing, self._corrected = library.posing(), bool(np.any(library.correction_m_s2))
         entries = [library.parts(iv, ig) for iv, ig in np.ndindex(library.command.shape[:2])]
         self._parts = {name: max(parts[name] for parts in entries) for name in entries[0]}
-        self._bound = _last_bound(library)
         self._hardest = float(library.speeds_m_s[-1]), float(library.grips_N[-1])
         self._found_standing: dict[tuple[tuple[str, float], ...], StandingTap | None] = {}
         problem = self._posed(self._posing, *self._hardest, self._coil)
@@ -148,7 +145,7 @@ class Online:
         linear_passes([_small_enough(without_limits(problem))], TOLERANCE)
         for each in (problem, problem.without(TemperatureLimit.name)):
             self._by_interior_point(each)
-        self._standing(self._posing, {})
+        self.solve(*self._hardest)
 
     def __repr__(self) -> str:
         return f"Online({self._library!r})"
@@ -227,10 +224,7 @@ class Online:
             remark = "nothing to play: too little grip or speed"
         if not remark and (standing := self._standing(posing, limits)):
             (plant,) = _made(self._plant, place.grip_N, "plant")
-            between = Between.of_place(self._library.speeds_m_s, self._library.grips_N, place)
-            cut = 0 if limits else self._expected(between)
-            known = standing.solved(plant, place.speed_m_s, between, coil, cut)
-            if known is not None:
+            if (known := standing.solved(plant, place, coil)) is not None:
                 command, certificate = known
                 wave = Waveform(**vars(place), command=command, transient_command=command)
                 return OnlineTap(wave, certificate, "", time.perf_counter() - start)
@@ -267,15 +261,6 @@ class Online:
         problem, answer = found
         transient = problem.transient_command(answer.command)
         return Waveform(**vars(place), command=answer.command, transient_command=transient), answer.proof, ""
-
-    def _expected(self, between: Between) -> int:
-        """Stages at which limits are stated first: a little beyond the last where one binds in the nodes around.
-
-        The mean of those nodes in which one does, by their weights; 0 if there is none.
-        """
-        bound = self._bound[between.at].ravel()
-        weight = float(between.weights @ (bound > 0))
-        return MARGIN + round(float(between.weights @ bound) / weight) if weight > 0 else 0
 
     def _optimum(self, problem: TransientProblem) -> tuple[TransientProblem, _Found] | str:
         """The problem, with the wall pressing as the answer makes it press, and that answer; or why there is none."""
@@ -411,15 +396,6 @@ def _last_outside(effect: Effect, problem: TransientProblem) -> int:
     """The last stage at which a command leaves a limit of the problem; -1 if it keeps them all."""
     boxes = boxes_of(effect.of(problem), Multipliers.zero(problem))
     return max((int(np.flatnonzero(box.excess > 0).max(initial=-1)) for box in boxes), default=-1)
-
-
-def _last_bound(library: Library) -> NDArray[np.intp]:
-    """(v, g) number of stages up to the last at which a limit binds in each node, 0 where none does."""
-    bound = np.zeros(library.command.shape[:2], dtype=int)
-    stages_of_node = 1 + np.arange(library.command.shape[-1])
-    for multiplier in library.multipliers_of.values():
-        bound = np.maximum(bound, ((multiplier > BINDING_MULTIPLIER) * stages_of_node).max(axis=-1))
-    return bound
 
 
 def _table(limits: Any) -> Mapping[str, float]:

@@ -8,11 +8,12 @@ certified for exactly the grip asked; whatever it does not answer is left to `on
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from transopt.base.recursions import Recursion
 from transopt.base.signals import FloatArray
 from transopt.library.library import Library
-from transopt.library.place import Between
+from transopt.library.place import Between, Place
 from transopt.plant.coil import CoilModel
 from transopt.plant.state_space import StateSpace
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate
@@ -24,9 +25,10 @@ from transopt.problem.objective.target import ZERO_M_S2
 from transopt.problem.objective.tracking import Tracking
 from transopt.problem.posing import Posing
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import left_over
+from transopt.proof.certify import BINDING_MULTIPLIER, left_over
 from transopt.solvers.standing import Proof, Standing, stands
 
+MARGIN = 24  # stages beyond the last at which a limit is expected to bind, up to which it is stated
 NEAR = 0.02  # share of a limit within which a guess of the optimum without limits may leave it
 SURELY_A_TAP = 10.0  # rms of a target, in units of that which counts as zero, from which no closer look is needed
 
@@ -37,15 +39,20 @@ class StandingTap:
     Parameters
     ----------
     problem : the problem of any tap of the library under these limits, of the kind that `of` takes.
+    own : whether they are the library's own, which bind about as long as in the nodes around.
     tolerance, most_iterations : as of `solvers.native.extension.interior_points`.
     """
 
-    def __init__(self, library: Library, problem: TransientProblem, tolerance: float, most_iterations: int) -> None:
+    def __init__(
+        self, library: Library, problem: TransientProblem, tolerance: float, most_iterations: int, *, own: bool
+    ) -> None:
         whole = problem.without(TemperatureLimit.name)
         amplifier, grid, nodes = whole.stage.amplifier, whole.grid, library.command.shape[:2]
         assert amplifier is not None
         self._standing = Standing(whole, leave_out(whole).problem, tolerance, most_iterations)
         self._problem, self._thermal = whole, problem.thermal
+        self._speeds_m_s, self._grips_N = library.speeds_m_s, library.grips_N
+        self._bound = _last_bound(library) if own else np.zeros(nodes, dtype=int)
         self._decay = float(np.exp(-amplifier.rate_rad_s * grid.dt_s))
         self._lag = Recursion(np.array([[self._decay]]))
         self._takes_s = (grid.stages + 1) * grid.dt_s + grid.delay_s
@@ -64,29 +71,35 @@ class StandingTap:
 
     @classmethod
     def of(
-        cls, library: Library, posing: Posing, problem: TransientProblem, tolerance: float, most_iterations: int
+        cls,
+        library: Library,
+        posing: Posing,
+        problem: TransientProblem,
+        tolerance: float,
+        most_iterations: int,
     ) -> "StandingTap | None":
         """The standing taps of a library; None if they differ in more than the device's matrices and the target."""
         same = bool(np.all(library.meta["slow_part_known"])) and not library.correction_m_s2.any()
         alone = posing.objective == "waveform" and posing.budget.tap_rate_Hz is None and not problem.named
         if not same or not alone or not stands(problem.without(TemperatureLimit.name)):
             return None
-        return cls(library, problem, tolerance, most_iterations)
+        own = posing is library.posing()
+        return cls(library, problem, tolerance, most_iterations, own=own)
 
     def solved(
-        self, plant: StateSpace, speed_m_s: float, between: Between, coil: CoilModel | None, cut: int
+        self, plant: StateSpace, place: Place, coil: CoilModel | None
     ) -> tuple[FloatArray, Certificate] | None:
         """Command (N,) and accepted certificate of a tap; None where the general way has to look.
 
         Parameters
         ----------
         coil : at its temperatures at the start; None without one.
-        cut : number of stages at which limits are stated first; 0 if none is expected to bind.
         """
-        size, courses = self._weights.size, speed_m_s * between.of(self._courses_s_m)
+        between = Between.of_place(self._speeds_m_s, self._grips_N, place)
+        size, courses = self._weights.size, place.speed_m_s * between.of(self._courses_s_m)
         if not self._poses(plant, courses[:size]):
             return None
-        for stated in self._attempts(courses[size:].reshape(self._lower.shape), cut):
+        for stated in self._attempts(courses[size:].reshape(self._lower.shape), self._expected(between)):
             command = self._standing.unlimited() if stated is None else self._standing.limited(stated)
             if command is None:
                 continue
@@ -106,6 +119,15 @@ class StandingTap:
         squares = wanted * wanted
         energy, lost = (float(np.vdot(weights, squares)) for weights in (self._weights, self._lost))
         return self._least_m2_s4 < energy < np.inf and standing.poses(wanted, energy, lost / energy)
+
+    def _expected(self, between: Between) -> int:
+        """Stages at which limits are stated first: a little beyond the last where one binds in the nodes around.
+
+        The mean of those nodes in which one does, by their weights; 0 if there is none.
+        """
+        bound = self._bound[between.at].ravel()
+        weight = float(between.weights @ (bound > 0))
+        return MARGIN + round(float(between.weights @ bound) / weight) if weight > 0 else 0
 
     def _attempts(self, values: FloatArray, cut: int) -> Iterator[int | None]:
         """Numbers of stages at which limits are stated, in the order of trial; None for no limits, 0 for all stages.
@@ -172,3 +194,12 @@ class StandingTap:
         current = self._current(command)
         stated = temperature_limit(coil, self._problem.stage.amplifier, self._problem.grid, budget)
         return float((stated.temperatures_C(current, command) - stated.bounds_C).max())
+
+
+def _last_bound(library: Library) -> NDArray[np.intp]:
+    """(v, g) number of stages up to the last at which a limit binds in each node, 0 where none does."""
+    bound = np.zeros(library.command.shape[:2], dtype=int)
+    stages_of_node = 1 + np.arange(library.command.shape[-1])
+    for multiplier in library.multipliers_of.values():
+        bound = np.maximum(bound, ((multiplier > BINDING_MULTIPLIER) * stages_of_node).max(axis=-1))
+    return bound

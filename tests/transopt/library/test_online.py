@@ -91,7 +91,9 @@ class TestFreshTaps:
     ) -> None:
         taps = [(0.4, 5.0), (0.31, 4.8), (0.12, 1.5)]
         own = [solver.solve(*tap) for tap in taps]
-        monkeypatch.setattr(solver, "_bound", np.full_like(solver._bound, guess))
+        standing = solver._standing(library.posing(), {})
+        assert standing is not None
+        monkeypatch.setattr(standing, "_bound", np.full_like(standing._bound, guess))
         for tap, known in zip(taps, own, strict=True):
             found = solver.solve(*tap)
             assert found.certificate is not None
