@@ -22,7 +22,7 @@ DRIVEN = [(FIRMWARE / "replay" / name).as_posix() for name in ("td_probe.c", "td
 # By name: Windows exports nothing else, and elsewhere everything is exported.
 SOLVER_CALLS = [
     *("tr_interface", "tr_workspace", "tr_solve", "tr_shortened_workspace", "tr_shortened", "tr_linear", "tr_prove"),
-    *("tr_scaled", "tr_modal_workspace", "tr_modal"),
+    *("tr_device_workspace", "tr_device_stages"),
 ]
 RECURSION_CALLS = [
     *("tr_most_states", "tr_most_width", "tr_run", "tr_forwards", "tr_backwards"),

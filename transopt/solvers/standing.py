@@ -1,7 +1,7 @@
 """A problem that stands while the device and the target change from tap to tap: nothing is allocated for one of them.
 
 `stage_data` states any problem. Most taps of one library differ only in a device of a fixed number of states and in a
-target; their stages are made here in two compiled calls (`native/device.c`), from the same formulas, into the arrays
+target; their stages are made here in one compiled call (`native/device.c`), from the same formulas, into the arrays
 of one problem. The tests hold both ways equal.
 """
 
@@ -39,7 +39,7 @@ class _Device(ct.Structure):
     )
 
 
-class _Modes(ct.Structure):
+class _Stages(ct.Structure):
     _fields_ = (*((name, ct.c_void_p) for name in ("A", "C", "end_gain", "end_target")), ("rest", ct.c_double))
 
 
@@ -127,10 +127,11 @@ class Standing:
         self._at = [record.ctypes.data for record in self._records]
         self._into, self._proof_at = self._result.ctypes.data, self._proof.ctypes.data
         needed = [c.tr_workspace(1, each) for each in self._at]
-        needed += [c.tr_shortened_workspace(self._at[1]), c.tr_modal_workspace(ct.byref(self._device))]
+        needed += [c.tr_shortened_workspace(self._at[1]), c.tr_device_workspace(ct.addressof(self._device))]
         space = np.zeros(max(needed))
         self._kept.append(space)
         self._space = address(space)
+        self._device_at, self._stages_at = ct.addressof(self._device), ct.addressof(self._stages)
 
     def _made(self, problem: TransientProblem) -> None:
         """Allocate what a tap changes, and what the compiled calls make it from."""
@@ -140,7 +141,6 @@ class Standing:
         self.plant, rate = p, amplifier.rate_rad_s * grid.dt_s
         self._flow, self._output = np.zeros((p + 2, p + 2)), np.zeros(p + 1)
         self._flow[p, p:] = -rate, rate
-        self._scaled, self._outputs = np.zeros((n, n)), np.zeros((terms, n))
         filters = np.array([_filter(term.error_filter) for term in problem.terms])
         roots = np.sqrt([term.after for term in problem.terms])
         self._kept += [filters, roots]
@@ -151,10 +151,10 @@ class Standing:
             *map(address, (self._flow, self._output, filters, roots)),
             *(self._scale, np.sqrt(2 / OBJECTIVE_SCALE)),
         )
-        self._modes = _Modes(*(address(self._arrays[name]) for name in OWN[:-1]))
+        self._stages = _Stages(*(address(self._arrays[name]) for name in OWN[:-1]))
 
     def _record(self, given: Stages, n: int, current: int) -> NDArray[np.void]:
-        """`tr_problem` of stage data with the arrays of this object and its modes in the order of `tr_modal`."""
+        """`tr_problem` of stage data with the arrays of this object, its modes in the order of device.c."""
         record = np.frombuffer(bytearray(given.record), dtype=RECORD)
         for name in OWN:
             record[name] = address(self._arrays[name])
@@ -182,18 +182,13 @@ class Standing:
         wanted : (T, L + N + M) target through every term's filter, contiguous.
         energy_m2_s4 : E of the target, > 0. lost : the lost samples' part of it, over E.
         """
-        c, device, unit = self._c, ct.byref(self._device), math.sqrt(energy_m2_s4)
-        stage = address(self._scaled), address(self._outputs)
-        if not c.tr_scaled(device, *stage):
-            return False
-        modes = [np.ascontiguousarray(each, dtype=complex) for each in np.linalg.eig(self._scaled[:-1, :-1])]
-        first, end = self.problem.target.lost, self.problem.target.lost + self.problem.grid.stages
+        unit, first = math.sqrt(energy_m2_s4), self.problem.target.lost
+        end = first + self.problem.grid.stages
         after = address(wanted) + wanted.itemsize * end
-        given = *map(address, modes), after, unit, self._space
-        condition = c.tr_modal(device, *stage, *given, ct.byref(self._modes))
+        condition = self._c.tr_device_stages(self._device_at, after, unit, self._space, self._stages_at)
         np.divide(wanted[:, first:end].T, unit, out=self._arrays["reference"])
         for record in self._records:
-            record["constant"] = (lost + self._modes.rest) / OBJECTIVE_SCALE
+            record["constant"] = (lost + self._stages.rest) / OBJECTIVE_SCALE
         return bool(condition <= MOST_CONDITION)
 
     def unlimited(self) -> FloatArray | None:

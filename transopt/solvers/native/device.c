@@ -2,12 +2,13 @@
  * the cost of the time after the window. The same numbers as those of `discretise`, `linear_stage`, `modes_of` and `tails`
  * in Python, for one plant with an amplifier and without a wall. All matrices are row by row.
  */
+#include <float.h>
 #include <math.h>
 #include <string.h>
 
 #include "device.h"
 
-enum { MOST = TR_MOST_DEVICE, MOST_SWEEPS = 100, HALF_PERIOD = 20, MOST_PERIODS = 20, LANES = 4 };
+enum { MOST = TR_MOST_DEVICE, MOST_SWEEPS = 100, MOST_STEPS = 60, HALF_PERIOD = 20, MOST_PERIODS = 20, LANES = 4 };
 
 /* Of the diagonal Pade approximant of degree 13 (Higham 2005), as in `transopt.base.matrices`. */
 static const double PADE[] = {64764752532480000.0, 32382376266240000.0, 7771770303897600.0, 1187353796428800.0,
@@ -15,6 +16,7 @@ static const double PADE[] = {64764752532480000.0, 32382376266240000.0, 77717703
                               1323241920.0,        40840800.0,          960960.0,           16380.0,
                               182.0,               1.0};
 static const double LARGEST_NORM = 5.371920351148152, BALANCED = 0.95, VANISHED = 1e-150;
+static const double LEFT_OUT = 1e-10; /* largest entry of A that is zero in exact modal coordinates */
 
 static void multiplied(int n, const double *a, const double *b, double *found)
 {
@@ -132,18 +134,19 @@ static void sizes(int n, int stages, const double *A, double *found)
     for (int i = 0; i < n; i++) found[i] = found[i] > 0.0 ? found[i] : 1.0;
 }
 
-int tr_device_states(const tr_device *d)
+static int states_of(const tr_device *d)
 {
     int n = d->plant + 2;
     for (int t = 0; t < d->terms; t++) n += d->filter[t * TR_FILTER] != 0.0 ? 2 : 0;
     return n;
 }
 
-/* A (n, n) and C (terms, n) of the scaled states: plant, current, error filters, held command. */
-int tr_scaled(const tr_device *d, double *A, double *C)
+/* A (n, n) and C (terms, n) of the scaled states: plant, current, error filters, held command. Returns n; 0 where there
+ * are too many states, or a number is not finite. */
+static int scaled(const tr_device *d, double *A, double *C)
 {
     double hold[MOST * MOST], size[MOST], made[MOST];
-    const int p = d->plant, n = tr_device_states(d), held = p + 2;
+    const int p = d->plant, n = states_of(d), held = p + 2;
     if (n > MOST) return 0;
     memcpy(hold, d->flow, (size_t)(held * held) * sizeof(double));
     if (!exponential(held, hold)) return 0;
@@ -196,6 +199,179 @@ static double bounded(int n, const double *a)
     return sqrt(rows * columns);
 }
 
+/* Upper Hessenberg form of a (n, n) in place, by elimination with pivoting (EISPACK elmhes). */
+static void hessenberg(int n, double *a)
+{
+    for (int m = 1; m < n - 1; m++) {
+        int at = m;
+        for (int i = m + 1; i < n; i++)
+            if (fabs(a[i * n + m - 1]) > fabs(a[at * n + m - 1])) at = i;
+        const double pivot = a[at * n + m - 1];
+        for (int j = m - 1; at != m && j < n; j++) {
+            const double held = a[at * n + j];
+            a[at * n + j] = a[m * n + j], a[m * n + j] = held;
+        }
+        for (int i = 0; at != m && i < n; i++) {
+            const double held = a[i * n + at];
+            a[i * n + at] = a[i * n + m], a[i * n + m] = held;
+        }
+        for (int i = m + 1; pivot != 0.0 && i < n; i++) {
+            const double by = a[i * n + m - 1] / pivot;
+            a[i * n + m - 1] = 0.0;
+            for (int j = m; j < n; j++) a[i * n + j] -= by * a[m * n + j];
+            for (int j = 0; j < n; j++) a[j * n + m] += by * a[j * n + i];
+        }
+    }
+}
+
+/* One of Francis' double QR steps on the rows and columns first..last of a Hessenberg matrix, with the shifts' sum and
+ * product; it starts at the row at which two small subdiagonal entries follow each other. */
+static void francis(int n, double *a, int first, int last, double sum, double product_of_both)
+{
+    double p = 0.0, q = 0.0, r = 0.0;
+    int from = last - 2;
+    for (; from >= first; from--) {
+        const double *row = a + from * n + from, *next = row + n;
+        p = row[0] * (row[0] - sum) + product_of_both + row[1] * next[0];
+        q = next[0] * (row[0] + next[1] - sum), r = next[0] * next[n + 1];
+        const double size = fabs(p) + fabs(q) + fabs(r);
+        p /= size, q /= size, r /= size;
+        if (from == first) break;
+        const double around = fabs(row[-n - 1]) + fabs(row[0]) + fabs(next[1]);
+        if (fabs(row[-1]) * (fabs(q) + fabs(r)) <= DBL_EPSILON * fabs(p) * around) break;
+    }
+    for (int k = from; k < last; k++) {
+        const int three = k < last - 1;
+        double size = 1.0;
+        if (k > from) {
+            p = a[k * n + k - 1], q = a[(k + 1) * n + k - 1], r = three ? a[(k + 2) * n + k - 1] : 0.0;
+            size = fabs(p) + fabs(q) + fabs(r);
+            if (size == 0.0) continue;
+            p /= size, q /= size, r /= size;
+        }
+        const double along = copysign(sqrt(p * p + q * q + r * r), p);
+        if (k > from) {
+            a[k * n + k - 1] = -along * size, a[(k + 1) * n + k - 1] = 0.0;
+            if (three) a[(k + 2) * n + k - 1] = 0.0;
+        } else if (from > first) {
+            a[k * n + k - 1] = -a[k * n + k - 1];
+        }
+        const double x = (p + along) / along, y = q / along, z = r / along, by = q / (p + along), by_z = r / (p + along);
+        for (int j = k; j < n; j++) {
+            const double t = a[k * n + j] + by * a[(k + 1) * n + j] + (three ? by_z * a[(k + 2) * n + j] : 0.0);
+            a[k * n + j] -= t * x, a[(k + 1) * n + j] -= t * y;
+            if (three) a[(k + 2) * n + j] -= t * z;
+        }
+        for (int i = 0; i <= (k + 3 < last ? k + 3 : last); i++) {
+            const double t = x * a[i * n + k] + y * a[i * n + k + 1] + (three ? z * a[i * n + k + 2] : 0.0);
+            a[i * n + k] -= t, a[i * n + k + 1] -= t * by;
+            if (three) a[i * n + k + 2] -= t * by_z;
+        }
+    }
+}
+
+/* Eigenvalues (n, 2), real and imaginary part, of a (n, n), which is overwritten. Returns 0 if they do not converge. */
+static int eigenvalues(int n, double *a, double *values)
+{
+    hessenberg(n, a);
+    for (int last = n - 1, steps = 0; last >= 0;) {
+        int first = last;
+        for (; first > 0; first--) {
+            const double beside = fabs(a[(first - 1) * n + first - 1]) + fabs(a[first * n + first]);
+            if (fabs(a[first * n + first - 1]) <= DBL_EPSILON * beside) break;
+        }
+        const double corner = a[last * n + last];
+        if (first == last) {
+            values[2 * last] = corner, values[2 * last + 1] = 0.0;
+            last--, steps = 0;
+            continue;
+        }
+        const double before = a[(last - 1) * n + last - 1], cross = a[last * n + last - 1] * a[(last - 1) * n + last];
+        if (first == last - 1) {
+            const double half = 0.5 * (before - corner), square = half * half + cross, root = sqrt(fabs(square));
+            const double far = half + copysign(root, half);
+            double *two = values + 2 * (last - 1);
+            if (square >= 0.0)
+                two[0] = corner + far, two[2] = far != 0.0 ? corner - cross / far : corner, two[1] = two[3] = 0.0;
+            else
+                two[0] = two[2] = corner + half, two[1] = root, two[3] = -root;
+            last -= 2, steps = 0;
+            continue;
+        }
+        if (steps == MOST_STEPS) return 0;
+        /* Now and then other shifts, for matrices on which the usual ones turn in circles. */
+        const double off = fabs(a[last * n + last - 1]) + fabs(a[(last - 1) * n + last - 2]);
+        if (++steps % 10)
+            francis(n, a, first, last, corner + before, corner * before - cross);
+        else
+            francis(n, a, first, last, 2.0 * corner + 1.5 * off, corner * (corner + 1.5 * off) + off * off);
+    }
+    return 1;
+}
+
+/* The size of a complex number, up to a factor of sqrt(2). */
+static double size_of(const double *z) { return fabs(z[0]) + fabs(z[1]); }
+
+/* z -= x y, of complex numbers. */
+static void less(double *z, const double *x, const double *y)
+{
+    z[0] -= x[0] * y[0] - x[1] * y[1], z[1] -= x[0] * y[1] + x[1] * y[0];
+}
+
+/* z = x / y, of complex numbers; z may be x. */
+static void divided(double *z, const double *x, const double *y)
+{
+    const double square = y[0] * y[0] + y[1] * y[1], real = (x[0] * y[0] + x[1] * y[1]) / square;
+    z[1] = (x[1] * y[0] - x[0] * y[1]) / square, z[0] = real;
+}
+
+/* Eigenvector (n, 2) of a (n, n) for an eigenvalue that is known up to rounding, by two steps of inverse iteration. */
+static void eigenvector(int n, const double *a, const double *value, double *found)
+{
+    double of[2 * MOST * MOST], size = 0.0;
+    int chosen[MOST];
+    for (int i = 0; i < n * n; i++) of[2 * i] = a[i], of[2 * i + 1] = 0.0, size = fmax(size, fabs(a[i]));
+    for (int i = 0; i < n; i++) {
+        of[2 * i * (n + 1)] -= value[0], of[2 * i * (n + 1) + 1] -= value[1];
+        found[2 * i] = 1.0, found[2 * i + 1] = 0.0;
+    }
+    for (int k = 0; k < n; k++) {
+        double *row = of + 2 * k * n, *pivot = row + 2 * k;
+        int at = k;
+        for (int i = k + 1; i < n; i++)
+            if (size_of(of + 2 * (i * n + k)) > size_of(of + 2 * (at * n + k))) at = i;
+        chosen[k] = at;
+        for (int j = 0; at != k && j < 2 * n; j++) {
+            const double held = row[j];
+            row[j] = of[2 * at * n + j], of[2 * at * n + j] = held;
+        }
+        /* The matrix is singular up to rounding, by which the vector grows along the one sought. */
+        if (size_of(pivot) < DBL_EPSILON * size) pivot[0] = DBL_EPSILON * size, pivot[1] = 0.0;
+        for (int i = k + 1; i < n; i++) {
+            double *other = of + 2 * i * n, *by = other + 2 * k;
+            divided(by, by, pivot);
+            for (int j = k + 1; j < n; j++) less(other + 2 * j, by, row + 2 * j);
+        }
+    }
+    /* The first step starts behind the elimination, from ones. */
+    for (int step = 0; step < 2; step++) {
+        double largest = 0.0;
+        for (int k = 0; step && k < n; k++) {
+            double *own = found + 2 * k, *other = found + 2 * chosen[k];
+            const double real = own[0], imaginary = own[1];
+            own[0] = other[0], own[1] = other[1], other[0] = real, other[1] = imaginary;
+        }
+        for (int k = 0; step && k < n; k++)
+            for (int i = k + 1; i < n; i++) less(found + 2 * i, of + 2 * (i * n + k), found + 2 * k);
+        for (int i = n - 1; i >= 0; i--) {
+            for (int j = i + 1; j < n; j++) less(found + 2 * i, of + 2 * (i * n + j), found + 2 * j);
+            divided(found + 2 * i, found + 2 * i, of + 2 * i * (n + 1));
+            largest = fmax(largest, size_of(found + 2 * i));
+        }
+        for (int i = 0; i < 2 * n; i++) found[i] /= largest;
+    }
+}
+
 /* Columns of T from the eigenvectors of A without its last row and column: complex modes in pairs, then real ones, the
  * current's last, then the held command. Returns the number of columns in pairs, or -1 where the current is no mode. */
 static int columns_of(int n, int current, const double *values, const double *vectors, double *T)
@@ -208,13 +384,13 @@ static int columns_of(int n, int current, const double *values, const double *ve
         if (!(values[2 * j + 1] > 0.0)) continue;
         if (at + 2 > m) return -1;
         for (int i = 0; i < m; i++) {
-            const double *v = vectors + 2 * (i * m + j);
+            const double *v = vectors + 2 * (j * m + i);
             real += v[0] * v[0] - v[1] * v[1], imaginary += 2.0 * v[0] * v[1];
         }
         /* The phase for which real and imaginary part are orthogonal. */
         const double half = 0.5 * atan2(imaginary, real), c = cos(half), s = sin(half);
         for (int i = 0; i < m; i++) {
-            const double *v = vectors + 2 * (i * m + j);
+            const double *v = vectors + 2 * (j * m + i);
             T[i * n + at] = v[0] * c + v[1] * s, T[i * n + at + 1] = v[1] * c - v[0] * s;
         }
         at += 2;
@@ -222,16 +398,16 @@ static int columns_of(int n, int current, const double *values, const double *ve
     const int pairs = at;
     for (int j = 0; j < m; j++)
         if (values[2 * j + 1] == 0.0 &&
-            (own < 0 || fabs(vectors[2 * (current * m + j)]) > fabs(vectors[2 * (current * m + own)])))
+            (own < 0 || fabs(vectors[2 * (j * m + current)]) > fabs(vectors[2 * (own * m + current)])))
             own = j;
     if (own < 0) return -1;
     for (int j = 0; j < m; j++) {
         if (values[2 * j + 1] != 0.0 || j == own) continue;
-        for (int i = 0; i < m; i++) T[i * n + at] = vectors[2 * (i * m + j)];
+        for (int i = 0; i < m; i++) T[i * n + at] = vectors[2 * (j * m + i)];
         at++;
     }
     if (at != m - 1) return -1;
-    for (int i = 0; i < m; i++) T[i * n + at] = vectors[2 * (i * m + own)];
+    for (int i = 0; i < m; i++) T[i * n + at] = vectors[2 * (own * m + i)];
     T[n * n - 1] = 1.0;
     for (int j = 0; j < m; j++) {
         double square = 0.0;
@@ -270,31 +446,47 @@ static double reduced(int rows, int n, double *work, double *gain, double *targe
     return rows > n ? product(rows - n, asked + n, asked + n) : 0.0;
 }
 
-/* Doubles of workspace of `tr_modal`. */
-size_t tr_modal_workspace(const tr_device *d)
+/* The modal coordinates z of the states, x = T z, and A in them. Returns a bound of the condition of T, infinite where A
+ * has no such coordinates; `pairs` is the number of states in pairs. */
+static double modal(int n, int current, const double *A, double *T, double *found, int *pairs)
 {
-    return (size_t)tr_device_states(d) * (size_t)(d->after * d->terms);
-}
-
-double tr_modal(const tr_device *d, const double *A, const double *C, const double *values, const double *vectors,
-                const double *asked, double unit, double *space, tr_modes *found)
-{
-    double T[MOST * MOST], inverse[MOST * MOST], of[MOST * MOST], left[MOST * MOST], gain[MOST * MOST];
-    const int n = tr_device_states(d), m = n - 1, pairs = columns_of(n, d->plant, values, vectors, T);
-    int rows = 0;
-    found->rest = 0.0;
-    if (pairs < 0) return INFINITY;
+    double values[2 * MOST], vectors[2 * MOST * MOST], inverse[MOST * MOST], of[MOST * MOST], left[MOST * MOST];
+    const int m = n - 1;
+    for (int i = 0; i < m; i++) memcpy(of + i * m, A + i * n, (size_t)m * sizeof(double));
+    memcpy(left, of, (size_t)(m * m) * sizeof(double));
+    if (!eigenvalues(m, left, values)) return INFINITY;
+    for (int j = 0; j < m; j++)
+        if (values[2 * j + 1] >= 0.0) eigenvector(m, of, values + 2 * j, vectors + 2 * j * m);
+    *pairs = columns_of(n, current, values, vectors, T);
+    if (*pairs < 0) return INFINITY;
     memset(inverse, 0, (size_t)(n * n) * sizeof(double));
     for (int i = 0; i < n; i++) inverse[i * n + i] = 1.0;
     memcpy(left, T, (size_t)(n * n) * sizeof(double));
     if (!solved(n, n, left, inverse)) return INFINITY;
-    multiplied(n, A, T, of), multiplied(n, inverse, of, left);
+    multiplied(n, A, T, of), multiplied(n, inverse, of, found);
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++) {
-            const int there = i == j || (i < m && j == m) || (i < pairs && j == (i ^ 1));
-            found->A[i * n + j] = there ? left[i * n + j] : 0.0;
+            const int there = i == j || (i < m && j == m) || (i < *pairs && j == (i ^ 1));
+            if (!there && !(fabs(found[i * n + j]) <= LEFT_OUT)) return INFINITY;
+            found[i * n + j] = there ? found[i * n + j] : 0.0;
         }
-    found->A[n * n - 1] = 1.0;
+    found[n * n - 1] = 1.0;
+    return bounded(n, T) * bounded(n, inverse);
+}
+
+size_t tr_device_workspace(const tr_device *d)
+{
+    return (size_t)states_of(d) * (size_t)(d->after * d->terms);
+}
+
+double tr_device_stages(const tr_device *d, const double *asked, double unit, double *space, tr_stages *found)
+{
+    double A[MOST * MOST], C[MOST * MOST], T[MOST * MOST], gain[MOST * MOST];
+    int rows = 0, pairs;
+    found->rest = 0.0;
+    const int n = d->terms <= MOST ? scaled(d, A, C) : 0, m = n - 1;
+    const double condition = n ? modal(n, d->plant, A, T, found->A, &pairs) : INFINITY;
+    if (!(condition < INFINITY)) return INFINITY;
     for (int t = 0; t < d->terms; t++)
         for (int j = 0; j < n; j++) {
             double sum = 0.0;
@@ -326,5 +518,5 @@ double tr_modal(const tr_device *d, const double *A, const double *C, const doub
         for (int j = 0; j < m; j++) found->end_gain[i * n + j] = d->by * gain[i * m + j];
         found->end_gain[i * n + m] = 0.0, found->end_target[i] *= d->by;
     }
-    return bounded(n, T) * bounded(n, inverse);
+    return condition;
 }

@@ -18,14 +18,14 @@ typedef struct {
 typedef struct {
     double *A, *C, *end_gain, *end_target; /* (n, n), (terms, n), (n - 1, n), (n - 1) of `tr_problem` */
     double rest;                           /* of the cost after the window, for no state */
-} tr_modes;
+} tr_stages;
 
-int tr_device_states(const tr_device *device);
-/* Returns n, the number of states; 0 where there are too many, or a number is not finite. */
-int tr_scaled(const tr_device *device, double *A, double *C);
-size_t tr_modal_workspace(const tr_device *device);
-/* `values` (n - 1) and `vectors` (n - 1, n - 1), complex: of A without its last row and column. `asked`: the targets after
- * the window, `unit` that of the outputs. Returns a bound of the condition of the modes, infinite where there are none. */
-double tr_modal(const tr_device *device, const double *A, const double *C, const double *values, const double *vectors,
-                const double *asked, double unit, double *space, tr_modes *found);
+/* Doubles of workspace. */
+size_t tr_device_workspace(const tr_device *device);
+
+/* The stages of a device, in modal coordinates: modes in pairs, real ones, the current, the held command. Returns a bound
+ * of the condition of the coordinates; infinite where the device has none, or is too large or not finite.
+ *
+ * `asked` are the terms' targets after the window, `stride` apart, and `unit` is that of the outputs. */
+double tr_device_stages(const tr_device *device, const double *asked, double unit, double *space, tr_stages *found);
 #endif

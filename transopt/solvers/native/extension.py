@@ -61,10 +61,9 @@ def _library() -> ct.CDLL | None:
     library.tr_shortened_workspace.restype, library.tr_shortened_workspace.argtypes = ct.c_size_t, (array,)
     library.tr_shortened.argtypes = (array, ct.c_int, ct.POINTER(_Options), array, array)
     library.tr_prove.argtypes = (ct.c_int, array, array, array)
-    library.tr_scaled.argtypes = (array, array, array)
-    library.tr_modal_workspace.restype, library.tr_modal_workspace.argtypes = ct.c_size_t, (array,)
-    library.tr_modal.restype = ct.c_double
-    library.tr_modal.argtypes = (*(array,) * 6, ct.c_double, array, array)
+    library.tr_device_workspace.restype, library.tr_device_workspace.argtypes = ct.c_size_t, (array,)
+    library.tr_device_stages.restype = ct.c_double
+    library.tr_device_stages.argtypes = (array, array, ct.c_double, array, array)
     return library
 
 
