@@ -93,6 +93,7 @@ if __name__ == "__main__":
                 sorted(path.as_posix() for path in SOLVER.glob("*.c")),
                 depends=[path.as_posix() for path in SOLVER.glob("*.h")],
                 export_symbols=SOLVER_CALLS,
+                libraries=["m"] if os.name == "posix" else [],
                 optional=True,
             ),
             Extension(

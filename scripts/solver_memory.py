@@ -6,7 +6,8 @@
 wall, at a rail, with an ideal amplifier, for several devices, with several motors), the same without limits, horizons
 of one stage, infeasible limits, and problems with NaN. Its arrays have exact sizes, and all compiled vector widths
 are tested. Every run has to be free of errors and to agree with the installed extension. `recursions_memory.c`
-compares the recursions with explicit sums. Exit code 3: a tool is missing; the message names it.
+compares the recursions with explicit sums, `device_memory.c` the stages of a device in modal coordinates with those
+in its states. Exit code 3: a tool is missing; the message names it.
 """
 
 import shutil
@@ -43,7 +44,7 @@ STAGES = 80  # of the others: a run takes time in proportion, and no access to m
 SOURCE = Path(__file__).with_suffix(".c")
 NATIVE = Path(__file__).parents[1] / "transopt/solvers/native"
 METHOD = [NATIVE / "riccati.c", *sorted(NATIVE.glob("kernel_*.c"))]
-RECURSIONS = SOURCE.with_name("recursions_memory.c")
+APART = {name: SOURCE.with_name(f"{name}_memory.c") for name in ("recursions", "device")}
 FLAGS = ("-std=c99", "-g1", "-ffp-contract=off", "-fno-math-errno", "-Wall", "-Wextra")
 SANITIZED = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 VALGRIND = ("valgrind", "--quiet", "--leak-check=full", "--error-exitcode=9")
@@ -223,7 +224,8 @@ def main() -> int:
             for name, flags in runs.items()
         }
         summed = {
-            name: pool.submit(sanitized_or_traced, name, [RECURSIONS], flags, [], folder)
+            f"{part}, {name}": pool.submit(sanitized_or_traced, name, [source], flags, [], folder)
+            for part, source in APART.items()
             for name, flags in ({"sanitizers": SANITIZED} | traced).items()
         }
         for name, run in solved.items():
@@ -236,7 +238,7 @@ def main() -> int:
         for name, run in summed.items():
             if not run.result():
                 return 1
-            print(f"recursions, {name}: {run.result().strip()} cases, clean")
+            print(f"{name}: {run.result().strip()} cases, clean")
     if "valgrind" not in runs:
         print("valgrind is not installed: not run")
         return MISSING

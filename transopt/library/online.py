@@ -304,8 +304,7 @@ class Online:
         hottest = None if small.thermal is None or free is None else _hottest(free)
         attempts = [cold] if small.thermal is None else [cold, small] if hottest is None else [small, cold]
         for attempt in attempts:
-            last = 0 if free is None or attempt.thermal is None else max(_last_outside(free, cold), hottest or 0)
-            searched = self._searched(problem, attempt, last)
+            searched = self._searched(problem, attempt, hottest or 0)
             if searched is None:
                 continue
             effect, multipliers = searched

@@ -59,15 +59,15 @@ class StandingTap:
         costs = [Tracking(library.wanted_of(*at).target, whole.terms) for at in np.ndindex(*nodes)]
         # A filter is linear: the filtered target of a tap is the blend of the nodes' filtered ones, r / v.
         shapes = np.stack([each.wanted.ravel() for each in costs]).reshape(*nodes, -1)
-        self._courses_s_m = shapes / library.speeds_m_s[:, None, None]
+        self._courses_s_m = shapes / library.speeds_m_s[:, None, None]  # the targets, and then `_free_at_node`
         weights = self._weights = costs[0].weights
         self._lost = np.where(np.arange(weights.shape[1]) < whole.target.lost, weights, 0.0)
         self._least_m2_s4 = (SURELY_A_TAP * ZERO_M_S2) ** 2 * float(weights.sum())
         lower, upper = zip(*(row.bounds(grid.stages) for _, row in whole.rows()), strict=True)
         self._stated = np.array([limit.stated for limit, _ in whole.rows()])[:, None]
         self._lower, self._upper = np.stack(lower) / self._stated, np.stack(upper) / self._stated
-        values = [self._values_at_node(library, *at) for at in np.ndindex(*nodes)]
-        self._courses_s_m = np.concatenate([self._courses_s_m, np.stack(values).reshape(*nodes, -1)], axis=2)
+        free = [self._free_at_node(library, *at) for at in np.ndindex(*nodes)]
+        self._courses_s_m = np.concatenate([self._courses_s_m, np.stack(free).reshape(*nodes, -1)], axis=2)
 
     @classmethod
     def of(
@@ -96,17 +96,20 @@ class StandingTap:
         coil : at its temperatures at the start; None without one.
         """
         between = Between.of_place(self._speeds_m_s, self._grips_N, place)
-        size, courses = self._weights.size, place.speed_m_s * between.of(self._courses_s_m)
-        if not self._poses(plant, courses[:size]):
+        courses, targets = place.speed_m_s * between.of(self._courses_s_m), self._weights.size
+        free, values = courses[targets : targets + self._problem.grid.stages], courses[-self._lower.size :]
+        temperature, limit = self._temperature(coil), self._problem.limits.input_limit
+        # Where the optimum without limits, clipped, would make the winding too hot, its limit binds as a rule.
+        if not self._keeps(temperature, np.clip(free, -limit, limit)) or not self._poses(plant, courses[:targets]):
             return None
-        for stated in self._attempts(courses[size:].reshape(self._lower.shape), self._expected(between)):
+        for stated in self._attempts(values.reshape(self._lower.shape), self._expected(between)):
             command = self._standing.unlimited() if stated is None else self._standing.limited(stated)
             if command is None:
                 continue
             proof = self._standing.proven()
             certificate = self._certificate(proof, heats=coil is not None)
             if certificate.accepted and (stated is not None or max(proof.excess) <= 0):
-                return (command, certificate) if self._warmer_K(command, coil) <= 0 else None
+                return (command, certificate) if self._keeps(temperature, command) else None
         return None
 
     def _poses(self, plant: StateSpace, targets: FloatArray) -> bool:
@@ -147,16 +150,19 @@ class StandingTap:
             cut = 3 * cut // 2
         yield 0
 
-    def _values_at_node(self, library: Library, iv: int, ig: int) -> FloatArray:
-        """(rows N,) of the optimum without limits in a node, over the limits and the speed; NaN if there is none."""
+    def _free_at_node(self, library: Library, iv: int, ig: int) -> FloatArray:
+        """(N + rows N,) the optimum without limits in a node, and its rows over the limits, both over the speed.
+
+        NaN if there is none.
+        """
         command = None
         if self._poses(library.plant(ig), library.speeds_m_s[iv] * self._courses_s_m[iv, ig]):
             command = self._standing.unlimited()
         if command is None:
-            return np.full(self._lower.size, np.nan)
+            return np.full(self._problem.grid.stages + self._lower.size, np.nan)
         outputs = {INPUT: self._current(command), COMMAND: command, HELD: np.append(0.0, command[:-1])}
         rows = [sum(by * outputs[name] for name, by in row.outputs.items()) for _, row in self._problem.rows()]
-        return np.asarray((np.stack(rows) / self._stated / library.speeds_m_s[iv]).ravel())
+        return np.asarray(np.concatenate([command, *(np.stack(rows) / self._stated)]) / library.speeds_m_s[iv])
 
     def _current(self, command: FloatArray) -> FloatArray:
         """(N,) current at the switching instants under a command."""
@@ -184,16 +190,21 @@ class StandingTap:
             finite=bool(np.isfinite([*proof.excess, *proof[1:]]).all()),
         )
 
-    def _warmer_K(self, command: FloatArray, coil: CoilModel | None) -> float:
-        """Largest excess over the winding's limit [K]; 0 where no command could reach it."""
+    def _temperature(self, coil: CoilModel | None) -> TemperatureLimit | None:
+        """The winding's limit from this start; None where no command reaches it."""
         if coil is None or self._thermal is None:
-            return 0.0
+            return None
         budget, limit = self._thermal.budget, self._problem.limits.input_limit
         if coil.adiabatic_bound_C(limit, self._takes_s) <= winding_limit_C(coil, budget):
-            return 0.0
-        current = self._current(command)
-        stated = temperature_limit(coil, self._problem.stage.amplifier, self._problem.grid, budget)
-        return float((stated.temperatures_C(current, command) - stated.bounds_C).max())
+            return None
+        return temperature_limit(coil, self._problem.stage.amplifier, self._problem.grid, budget)
+
+    def _keeps(self, temperature: TemperatureLimit | None, command: FloatArray) -> bool:
+        """Whether the winding stays within its limit under a command (N,)."""
+        if temperature is None:
+            return True
+        reached_C = temperature.temperatures_C(self._current(command), command)
+        return bool((reached_C <= temperature.bounds_C).all())
 
 
 def _last_bound(library: Library) -> NDArray[np.intp]:

@@ -79,7 +79,7 @@ static void balance(int n, double *a, double *scale)
 static int exponential(int n, double *a)
 {
     double scale[MOST], A2[MOST * MOST], A4[MOST * MOST], A6[MOST * MOST], odd[MOST * MOST], even[MOST * MOST];
-    double of[MOST * MOST], norm = 0.0;
+    double of[MOST * MOST] = {0}, norm = 0.0;
     const double *b = PADE;
     balance(n, a, scale);
     for (int j = 0; j < n; j++) {
