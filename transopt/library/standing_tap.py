@@ -51,7 +51,7 @@ class StandingTap:
         assert amplifier is not None
         self._standing = Standing(whole, leave_out(whole).problem, tolerance, most_iterations)
         self._problem, self._thermal = whole, problem.thermal
-        self._speeds_m_s, self._grips_N = library.speeds_m_s, library.grips_N
+        self._speeds_m_s, self._grips_N, self._commands = library.speeds_m_s, library.grips_N, library.command
         self._bound = _last_bound(library) if own else np.zeros(nodes, dtype=int)
         self._decay = float(np.exp(-amplifier.rate_rad_s * grid.dt_s))
         self._lag = Recursion(np.array([[self._decay]]))
@@ -97,11 +97,12 @@ class StandingTap:
         """
         between = Between.of_place(self._speeds_m_s, self._grips_N, place)
         courses, targets = place.speed_m_s * between.of(self._courses_s_m), self._weights.size
-        free, values = courses[targets : targets + self._problem.grid.stages], courses[-self._lower.size :]
-        temperature, limit = self._temperature(coil), self._problem.limits.input_limit
-        # Where the optimum without limits, clipped, would make the winding too hot, its limit binds as a rule.
-        if not self._keeps(temperature, np.clip(free, -limit, limit)) or not self._poses(plant, courses[:targets]):
+        temperature = self._temperature(coil)
+        if temperature is not None and not self._keeps(temperature, between.of(self._commands)):
+            return None  # the nodes' commands would make the winding too hot: its limit binds as a rule
+        if not self._poses(plant, courses[:targets]):
             return None
+        values = courses[targets:]
         for stated in self._attempts(values.reshape(self._lower.shape), self._expected(between)):
             command = self._standing.unlimited() if stated is None else self._standing.limited(stated)
             if command is None:
@@ -109,7 +110,8 @@ class StandingTap:
             proof = self._standing.proven()
             certificate = self._certificate(proof, heats=coil is not None)
             if certificate.accepted and (stated is not None or max(proof.excess) <= 0):
-                return (command, certificate) if self._keeps(temperature, command) else None
+                keeps = temperature is None or self._keeps(temperature, command)
+                return (command, certificate) if keeps else None
         return None
 
     def _poses(self, plant: StateSpace, targets: FloatArray) -> bool:
@@ -151,18 +153,15 @@ class StandingTap:
         yield 0
 
     def _free_at_node(self, library: Library, iv: int, ig: int) -> FloatArray:
-        """(N + rows N,) the optimum without limits in a node, and its rows over the limits, both over the speed.
-
-        NaN if there is none.
-        """
+        """(rows N,) of the optimum without limits in a node, over the limits and the speed; NaN if there is none."""
         command = None
         if self._poses(library.plant(ig), library.speeds_m_s[iv] * self._courses_s_m[iv, ig]):
             command = self._standing.unlimited()
         if command is None:
-            return np.full(self._problem.grid.stages + self._lower.size, np.nan)
+            return np.full(self._lower.size, np.nan)
         outputs = {INPUT: self._current(command), COMMAND: command, HELD: np.append(0.0, command[:-1])}
         rows = [sum(by * outputs[name] for name, by in row.outputs.items()) for _, row in self._problem.rows()]
-        return np.asarray(np.concatenate([command, *(np.stack(rows) / self._stated)]) / library.speeds_m_s[iv])
+        return np.asarray((np.stack(rows) / self._stated / library.speeds_m_s[iv]).ravel())
 
     def _current(self, command: FloatArray) -> FloatArray:
         """(N,) current at the switching instants under a command."""
@@ -199,10 +198,8 @@ class StandingTap:
             return None
         return temperature_limit(coil, self._problem.stage.amplifier, self._problem.grid, budget)
 
-    def _keeps(self, temperature: TemperatureLimit | None, command: FloatArray) -> bool:
+    def _keeps(self, temperature: TemperatureLimit, command: FloatArray) -> bool:
         """Whether the winding stays within its limit under a command (N,)."""
-        if temperature is None:
-            return True
         reached_C = temperature.temperatures_C(self._current(command), command)
         return bool((reached_C <= temperature.bounds_C).all())
 

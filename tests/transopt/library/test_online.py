@@ -133,12 +133,12 @@ class TestStandingTaps:
             np.testing.assert_allclose(own.wave.command, other.wave.command, atol=2e-5)
 
     def test_a_warm_winding_is_looked_at(self, library: Library, standing: Online) -> None:
-        """0.6 K below the limit a bound no longer tells that a tap, which warms it by 0.3 K, keeps it."""
-        hot = library.coil().limit_C - 0.6
+        """0.4 K below the limit a bound no longer tells that a tap, which warms it by 0.3 K, keeps it."""
+        hot = library.coil().limit_C - 0.4
         own, cold = standing.solve(0.4, 5.0, hot, hot), standing.solve(0.4, 5.0)
         np.testing.assert_array_equal(own.wave.command, cold.wave.command)
         with pytest.raises(AssertionError, match="solved in general"):
-            standing.solve(0.4, 5.0, hot + 0.4, hot + 0.4)
+            standing.solve(0.4, 5.0, hot + 0.2, hot + 0.2)
 
     @pytest.mark.parametrize("attempts", [(None, 0), (10, 20, 300, 0), (0,), (500,)])
     def test_the_order_of_trial_changes_no_answer(
