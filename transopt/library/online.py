@@ -2,8 +2,8 @@
 
 A library's blend between nodes is feasible but not optimal, and assumes one start temperature and one set of limits.
 Here the problem of the nodes is posed for the measured point and solved by the compiled interior point, with the
-same certificate as an entry. CasADi is not loaded: the stage data come from `stage_data`, which a test compares with
-the CasADi statement.
+same certificate as an entry: by a standing problem (`standing_tap`) where the taps of the library allow it, else in
+general. CasADi is not loaded: the stage data come from `stage_data`, which a test compares with the CasADi statement.
 """
 
 import time
