@@ -1,9 +1,9 @@
 """Worker processes that solve the taps of a page in parallel, each a share of them.
 
 Most of a tap's time is spent in Python code, which threads of one process cannot run in parallel. So the server has a
-crew of processes, as many as leave one core each to server and browser. They are started with the page. Until they
-are ready, or while they work for another window, the server solves all taps itself. The answers do not depend on the
-process.
+crew of processes, as many as leave one core each to server and browser: on two cores none, where a process would take
+the browser's time and shorten no answer. They are started with the page. Until they are ready, or while they work for
+another window, the server solves all taps itself. The answers do not depend on the process.
 """
 
 import itertools
@@ -32,13 +32,12 @@ class Crew:
 
     Parameters
     ----------
-    size : number of processes; by default the number of cores minus two, at least one if there are two cores, and at
-        most `MOST`.
+    size : number of processes; by default the number of cores minus two, at most `MOST`.
     """
 
     def __init__(self, size: int | None = None) -> None:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        self._size = min(MOST, max(cores - 2, int(cores > 1))) if size is None else size
+        self._size = min(MOST, max(cores - 2, 0)) if size is None else size
         self._at_work, self._enlisting, self._ended = threading.Lock(), threading.Lock(), threading.Event()
         self._members: list[_Member] = []
 
