@@ -35,25 +35,42 @@ def arrays(head: dict[str, Any], named: Sequence[tuple[str, FloatArray]]) -> byt
     return frame({**head, **listed}, b"".join(np.asarray(values, dtype="<f4").tobytes() for _, values in named))
 
 
-def curves(head: dict[str, Any], taps: Sequence[Shown]) -> bytes:
-    """A frame of taps: their times [s] once, then the curves of each, as `CURVES` names them."""
+def curves(head: dict[str, Any], taps: Sequence[Shown], view_s: tuple[float, float] | None = None) -> bytes:
+    """A frame of taps: their times [s] once, then the curves of each, as `CURVES` names them.
+
+    Parameters
+    ----------
+    view_s : time that is looked at; the frame has the samples within it and one more on each side. None for all.
+    """
     named: list[tuple[str, FloatArray]] = []
-    shown = []
+    shown, seen = [], slice(None)
     for tap in taps:
         if tap.curves is None:
             continue
         if not named:
-            named.append(("times_s", tap.curves.times_s))
-        named += [(f"{tap.index}.{name}", getattr(tap.curves, name)) for name in CURVES]
+            times_s = tap.curves.times_s
+            seen = slice(None) if view_s is None else _seen(times_s, view_s)
+            named.append(("times_s", times_s[seen]))
+            head = {**head, "whole_s": [float(np.float32(end)) for end in (times_s[0], times_s[-1])]}
+        named += [(f"{tap.index}.{name}", getattr(tap.curves, name)[seen]) for name in CURVES]
         limit_C = tap.curves.temperature_limit_C
         shown.append(
             {
                 **plain(tap),
                 "input_limit": tap.curves.input_limit,
+                "recorded_peak_m_s2": float(np.abs(tap.curves.recorded_m_s2).max()),
                 "temperature_limit_C": limit_C if np.isfinite(limit_C) else None,
             }
         )
     return arrays({**head, "taps": shown}, named)
+
+
+def _seen(times_s: FloatArray, view_s: tuple[float, float]) -> slice:
+    """The samples within a time, at least two, and one more on each side where there is one."""
+    first = int(np.searchsorted(times_s, view_s[0])) - 1
+    after = int(np.searchsorted(times_s, view_s[1], side="right")) + 1
+    first = min(max(first, 0), times_s.size - 2)
+    return slice(first, max(after, first + 2))
 
 
 def parted(message: bytes) -> tuple[dict[str, Any], bytes]:

@@ -166,16 +166,17 @@ class Session:
 
     def _change(self, message: Message) -> None:
         service, number = self._service(), message["id"]
-        probe, winding = message.get("probe"), message.get("winding_C")
+        probe, winding, view = message.get("probe"), message.get("winding_C"), message.get("view_s")
         service.change(
             message["changes"],
             None if probe is None else (float(probe[0]), float(probe[1])),
             None if winding is None else float(winding),
         )
         order = service.order(int(message["selected"]))
+        view_s = None if view is None else (float(view[0]), float(view[1]))
         head = {"type": "curves", "id": number, "places": [vars(place) for place in service.places]}
         # All taps in one frame, so that all displays show results of the same frame number.
-        self._send(curves(head, self._crew.quick(self._service_name, service, order)))
+        self._send(curves(head, self._crew.quick(self._service_name, service, order), view_s))
         if message.get("final"):
             self._settle(service, order, number)
 

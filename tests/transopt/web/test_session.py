@@ -70,6 +70,32 @@ def test_all_taps_come_in_one_frame_the_selected_first(window: Window) -> None:
     assert np.abs(values[before : before + sizes["1.input"]]).max() == pytest.approx(3.0, abs=1e-4)
 
 
+def arrays_of(found: dict[str, Any], body: bytes) -> dict[str, Any]:
+    ends = np.cumsum([size for _, size in found["arrays"]])
+    parts = np.split(np.frombuffer(body, dtype="<f4"), ends[:-1])
+    return {name: part for (name, _), part in zip(found["arrays"], parts, strict=True)}
+
+
+@pytest.mark.parametrize("view_s", [(0.005, 0.01), (-1.0, 0.002), (-1.0, 1.0), (2.0, 3.0), (0.00501, 0.00502)])
+def test_while_a_slider_moves_only_samples_that_are_looked_at_come(
+    window: Window, view_s: tuple[float, float]
+) -> None:
+    window.session.put(change(1, current_A=3.0))
+    head = window.until("curves", id=1)
+    window.session.put({**change(2, current_A=3.0), "view_s": view_s})
+    seen_head = window.until("curves", id=2)
+    whole, seen = arrays_of(*head), arrays_of(*seen_head)
+    times_s = whole["times_s"]
+    assert head[0]["whole_s"] == seen_head[0]["whole_s"] == [times_s[0], times_s[-1]]
+    assert seen_head[0]["taps"] == head[0]["taps"]
+    inside = np.flatnonzero((times_s >= view_s[0]) & (times_s <= view_s[1]))
+    at = np.flatnonzero(np.isin(times_s, seen["times_s"]))
+    assert set(inside) <= set(at)
+    assert 2 <= at.size <= inside.size + 2
+    for name in ("0.recorded_m_s2", "1.optimum_m_s2", "1.input"):
+        np.testing.assert_allclose(seen[name], whole[name][at], rtol=0, atol=1e-6)
+
+
 def test_the_newest_change_wins_and_is_all_there_is(small: Scene) -> None:
     # Everything is put before the session begins to look.
     said: queue.Queue[str | bytes] = queue.Queue()

@@ -22,8 +22,9 @@ const state = {
   scene: null, places: [], selected: 0,
   requested: NOTHING, // what the user has set: all that differs from the scene as it was opened
   accepted: NOTHING, // the same of the answer that is shown
-  frame: null, // that answer: number, times, taps
-  start: null, // the one of the scene as it was opened
+  frame: null, // that answer: number, times, whole (first and last time of all samples), taps
+  start: null, // the one of the scene as it was opened, with all its samples
+  asOpened: true, // whether that is what is shown
   resume: false, chosen: "", moving: false, last: "",
 };
 const sentRequests = new Map();
@@ -49,7 +50,9 @@ const history = new History(({ past, future }) => {
 const requests = new Requests((number, final) => {
   if (!state.scene || !link.connected) return false;
   sentRequests.set(number, state.requested);
-  link.say({ type: "change", id: number, ...state.requested, selected: state.selected, final });
+  // While a slider moves, the samples that are looked at are enough.
+  const view_s = final ? null : detail.view;
+  link.say({ type: "change", id: number, ...state.requested, selected: state.selected, view_s, final });
   return true;
 });
 
@@ -198,14 +201,14 @@ function taken(message, arrays) {
 // One answer is the whole of what is shown.
 function drawn(message, arrays) {
   taken(message, arrays);
-  const frame = { number: message.id, times: arrays.times_s, taps: [] };
+  const frame = { number: message.id, times: arrays.times_s, whole: message.whole_s, taps: [] };
   for (const tap of message.taps) frame.taps[tap.index] = tap;
   const first = !state.frame;
   state.frame = frame;
   state.accepted = sentRequests.get(message.id) ?? state.requested;
   for (const number of sentRequests.keys()) if (number <= message.id) sentRequests.delete(number);
-  const opened = JSON.stringify(state.accepted) === JSON.stringify(NOTHING);
-  if (opened) state.start = frame;
+  state.asOpened = JSON.stringify(state.accepted) === JSON.stringify(NOTHING);
+  if (state.asOpened && covers(frame, frame.whole)) state.start = frame;
   if (JSON.stringify(message.places) !== JSON.stringify(state.places)) placed(message.places);
   sound.forget();
   show(state.moving);
@@ -215,6 +218,10 @@ function drawn(message, arrays) {
     if (began !== undefined) performance.measure("slider to frame", { start: began, end: performance.now() });
     if (first) performance.mark("first picture");
   });
+}
+
+function covers({ times }, [from, to]) {
+  return times[0] <= from && times[times.length - 1] >= to;
 }
 
 function show(kept) {
@@ -227,7 +234,7 @@ function show(kept) {
 
 // The scene as it was opened, where it is another one than what is shown.
 function ghost() {
-  return state.start && state.start !== state.frame && !detail.hidden.has("start") ? state.start : null;
+  return state.start && !state.asOpened && !detail.hidden.has("start") ? state.start : null;
 }
 
 function settled(message) {
@@ -385,6 +392,7 @@ detail.zoomed = () => {
   matrix.show(state.frame, detail.view, detail.hidden, ghost());
   const [from, to] = detail.view.map((t) => Number((1e3 * t).toFixed(1)));
   write(by("looked-at"), `${from} to ${to} ms`);
+  if (!covers(state.frame, detail.view)) requests.want();
 };
 for (const button of document.querySelectorAll("[data-save]")) {
   button.onclick = () => link.say({ type: "save", what: button.dataset.save });
