@@ -172,7 +172,7 @@ def _shown(
     warm, limit_C = np.zeros(0), np.nan
     if isinstance(thermal, TemperatureLimit):
         limit_C = thermal.limit_C
-        warm = thermal.temperatures_C(current[:N], answer.command) if certified else current[:N]
+        warm = entry.designed.effect.winding_C if certified else current[:N]
     free_m_s2 = target.lasting(target.free_m_s2)
     curves = Curves(
         times_s=np.append(grid.switching_times_s, grid.after_times_s),
