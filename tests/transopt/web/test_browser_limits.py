@@ -45,6 +45,7 @@ def test_what_is_drawn_is_the_library_of_the_scene(window: Window, address: str,
         assert row.locator("td.state").inner_text() == "replayed"
         drawn = window.state(f"frame.taps[{iv}].input")
         assert drawn[: library.plant_input.shape[-1]] == pytest.approx(library.plant_input[iv, 0], abs=1e-4)
+    assert window.inked("optimum", "#cells") > 0
     playwright.expect(window.see("#warmed")).to_be_hidden()  # the scene has no cool commands
     percent = COLUMNS["tap"].show(float(library.tap_error[1, 0]))
     assert window.see("#cells .came").nth(1).inner_text() == f"{percent} % *"
@@ -84,6 +85,30 @@ def test_one_answer_drives_all_that_shows_a_result_also_while_dragging(window: W
     window.says("#selected", "as opened 29.6 %")
     assert window.inked("start") > 0
     assert window.inked("limit") > 0
+
+
+def test_while_dragging_what_is_looked_at_comes_and_at_rest_all(window: Window) -> None:
+    samples = window.state("frame.times.length")
+    box = window.see(CURRENT).bounding_box()
+    y = box["y"] + box["height"] / 2
+    window.tab.mouse.move(box["x"] + 0.7 * box["width"], y)
+    window.tab.mouse.down()
+    sizes, ends = [], []
+    for j in range(90):
+        window.tab.mouse.move(box["x"] + (0.45 + 0.003 * j) * box["width"], y)
+        if j == 60:
+            window.see("[data-look=whole]").evaluate("button => button.click()")
+        sizes.append(window.state("frame.times.length"))
+        ends.append(window.state("frame.times.at(-1)"))
+    window.tab.mouse.up()
+    assert min(sizes[:60]) < samples / 4
+    assert min(ends[:60]) >= 0.02
+    assert sizes[-1] == samples
+    window.see("[data-look=first]").click()
+    window.rests()
+    assert window.state("frame.times.length") == window.state("start.times.length") == samples
+    assert window.state("frame.taps[1].input.length") == samples
+    window.says("#selected", "as opened 29.6 %")
 
 
 def focused(window: Window) -> str:
@@ -286,6 +311,7 @@ def test_what_is_not_certified_is_grey_and_says_why(browser: Any) -> None:
     with Page(scene) as served:
         window = Window(browser, served.address)
         assert window.see("#cells .refused").count() == 1
+        assert window.inked("clipped", "#cells") == window.inked("recorded", "#cells") == 0
         window.says("#reason", "supply")
         window.says("#reason", "would do")
         playwright.expect(window.see("#detail")).to_have_class(re.compile("refused"))

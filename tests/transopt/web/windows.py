@@ -21,8 +21,8 @@ MARKS = [
     pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine"),
     pytest.mark.timeout(300),
 ]
-INKED = """name => {
-  const canvas = document.querySelector("#plot canvas");
+INKED = """([name, place]) => {
+  const canvas = document.querySelector(`${place} > canvas`);
   const colour = getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
   const parts = [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16));
   const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
@@ -63,9 +63,9 @@ class Window:
     def limit(self) -> float:
         return float(self.state("frame.taps[page.selected].input_limit"))
 
-    def inked(self, curve: str) -> int:
-        """Pixels of the large plot that have the colour of a curve."""
-        return int(self.tab.evaluate(INKED, curve))
+    def inked(self, curve: str, place: str = "#plot") -> int:
+        """Pixels of the large plot, or of the small ones in `#cells`, that have the colour of a curve."""
+        return int(self.tab.evaluate(INKED, [curve, place]))
 
 
 def typed(window: Window, value: str, key: str = "limits.current_A") -> None:

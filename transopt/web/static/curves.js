@@ -1,7 +1,7 @@
 // Lines of many samples, as pixels show them; colours as the page has them.
 
 const NAMES = ["ground", "ink", "quiet", "grid", "recorded", "optimum", "clipped", "start", "warm", "limit", "line"];
-const SMALL_PX = 62;
+export const SMALL_PX = 62; // height of a small plot, as page.css has it
 const FONT = "12px system-ui, sans-serif";
 
 let kept = null;
@@ -12,33 +12,41 @@ export function colours() {
 }
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { kept = null; });
 
-// Samples within [from, to], at most two for a pixel, the least and the greatest, which is all that a line of so many
-// pixels can show. Calls `point(time, value, begins)`; a gap in the values is one in the line.
-export function within(times, values, from, to, pixels, point) {
-  const dt = times.length > 1 ? times[1] - times[0] : 1;
+// A curve within the time `view` as the corners of a line, x and y in turn: for every pixel at most two samples, the
+// least and the greatest, which is all that a line of so many pixels can show. A gap in the values is NaN in the line.
+// `place`: x of the begin of `view`, pixels, y of zero, and pixels of one unit of the values.
+export function lineOf(times, values, view, { left, pixels, zero, unit }) {
+  const dt = times.length > 1 ? times[1] - times[0] : 1, line = [], [from, to] = view, second = pixels / (to - from);
   const first = Math.max(Math.floor((from - times[0]) / dt) - 1, 0);
   const after = Math.min(Math.ceil((to - times[0]) / dt) + 2, values.length);
   const some = Math.max(Math.floor((after - first) / (2 * pixels)), 1);
-  let begins = true;
   for (let at = first; at < after; at += some) {
     let low = at, high = at;
-    for (let j = at; j < Math.min(at + some, after); j++) {
+    for (let j = at + 1; j < Math.min(at + some, after); j++) {
       if (values[j] < values[low]) low = j;
       if (values[j] > values[high]) high = j;
     }
-    for (const j of low === high ? [low] : [Math.min(low, high), Math.max(low, high)]) {
-      if (Number.isNaN(values[j])) {
-        begins = true;
-      } else {
-        point(times[j], values[j], begins);
-        begins = false;
-      }
-    }
+    const one = Math.min(low, high), other = Math.max(low, high);
+    line.push(left + (times[one] - from) * second, zero - values[one] * unit);
+    if (other > one) line.push(left + (times[other] - from) * second, zero - values[other] * unit);
   }
+  return line;
+}
+
+function strokeLine(pen, line) {
+  let begins = true;
+  pen.beginPath();
+  for (let at = 0; at < line.length; at += 2) {
+    const x = line[at], y = line[at + 1], gap = Number.isNaN(y);
+    if (begins && !gap) pen.moveTo(x, y);
+    else if (!gap) pen.lineTo(x, y);
+    begins = gap;
+  }
+  pen.stroke();
 }
 
 // The pen of an empty canvas, which draws in pixels of the page.
-function penOf(canvas, width, height) {
+export function penOf(canvas, width, height) {
   const ratio = window.devicePixelRatio || 1, size = [width, height].map((pixels) => Math.round(pixels * ratio));
   if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
   const pen = canvas.getContext("2d");
@@ -47,26 +55,26 @@ function penOf(canvas, width, height) {
   return pen;
 }
 
-// One tap on a canvas of some width on the page: accelerations above, what drives the device below, between its limits.
-// `scale`: the largest acceleration and input that are shown, and the time [from, to], of all such canvases alike.
-export function drawSmall(canvas, width, times, tap, scale, hidden = new Set(), start = null) {
-  const pen = penOf(canvas, width, SMALL_PX), colour = colours(), [from, to] = scale.view;
-  const at = (t) => ((t - from) / (to - from)) * width;
+// One tap in a box of a canvas, its place and its width: accelerations above, what drives the device below, between its
+// limits. `scale`: the largest acceleration and input that are shown, and the time `view`, of all such boxes alike. One
+// that is not certified is faint and grey.
+export function drawSmall(pen, box, times, tap, scale, hidden = new Set(), start = null) {
+  const colour = colours(), { x: left, y: top, width: pixels } = box;
   const line = (name, of, values, middle, size, thickness, dashes) => {
     if (hidden.has(name) || !values?.length) return;
-    pen.beginPath();
-    pen.strokeStyle = colour[name];
+    pen.strokeStyle = tap.certified ? colour[name] : colour.quiet;
     pen.lineWidth = thickness;
     pen.setLineDash(dashes);
-    within(of, values, from, to, width, (t, value, begins) => {
-      if (begins) pen.moveTo(at(t), middle - value * size);
-      else pen.lineTo(at(t), middle - value * size);
-    });
-    pen.stroke();
+    strokeLine(pen, lineOf(of, values, scale.view, { left, pixels, zero: top + middle, unit: size }));
   };
   const high = 22 / scale.acceleration, low = 13 / scale.input, above = 25, below = 48;
+  pen.save();
+  pen.beginPath();
+  pen.rect(left, top, pixels, SMALL_PX);
+  pen.clip();
+  pen.globalAlpha = tap.certified ? 1 : 0.35;
   pen.fillStyle = colour.grid;
-  pen.fillRect(0, below, width, 1);
+  pen.fillRect(left, top + below, pixels, 1);
   if (start) {
     line("start", start.times, start.optimum_m_s2, above, high, 1, [2, 2]);
     line("start", start.times, start.input, below, low, 1, [2, 2]);
@@ -75,15 +83,27 @@ export function drawSmall(canvas, width, times, tap, scale, hidden = new Set(), 
   line("recorded", times, tap.recorded_m_s2, above, high, 1, []);
   line("optimum", times, tap.optimum_m_s2, above, high, 1.6, []);
   line("warm", times, tap.warm_m_s2, above, high, 1, [6, 2]);
-  for (const side of [-1, 1]) line("limit", [from, to], [side * tap.input_limit, side * tap.input_limit], below, low, 1, [2, 3]);
+  for (const side of [-1, 1]) line("limit", scale.view, [side * tap.input_limit, side * tap.input_limit], below, low, 1, [2, 3]);
   line("clipped", times, tap.clipped_input, below, low, 1, [4, 3]);
-  line("optimum", times, tap.input, below, low, 1.4, []);
+  line("optimum", times, tap.input, below, low, 1, []);
   line("warm", times, tap.warm_input, below, low, 1, [6, 2]);
+  pen.restore();
 }
 
 const SVG = "http://www.w3.org/2000/svg";
 
-// The elements of a drawing as `parts` state them, [kind, attributes, text or parts]: what stays is not touched.
+function pathOf(line) {
+  let d = "", begins = true;
+  for (let at = 0; at < line.length; at += 2) {
+    const [x, y] = [line[at], line[at + 1]].map((place) => Math.round(10 * place) / 10), gap = Number.isNaN(y);
+    if (!gap) d += `${begins ? "M" : "L"}${x} ${y}`;
+    begins = gap;
+  }
+  return d;
+}
+
+// The elements of a drawing as `parts` state them, [kind, attributes, text or parts], a path by its
+// `line`: what stays is not touched.
 export function sketch(drawing, parts) {
   parts.forEach(([kind, attributes, inner = ""], j) => {
     let element = drawing.children[j];
@@ -94,9 +114,11 @@ export function sketch(drawing, parts) {
       element = fresh;
     }
     const before = element.stated ?? {};
-    for (const name of Object.keys(before)) if (!(name in attributes)) element.removeAttribute(name);
-    for (const [name, value] of Object.entries(attributes)) if (before[name] !== value) element.setAttribute(name, value);
-    element.stated = attributes;
+    const { line, ...stated } = attributes;
+    if (line) stated.d = pathOf(line);
+    for (const name of Object.keys(before)) if (!(name in stated)) element.removeAttribute(name);
+    for (const [name, value] of Object.entries(stated)) if (before[name] !== value) element.setAttribute(name, value);
+    element.stated = stated;
     if (typeof inner !== "string") sketch(element, inner);
     else if (element.textContent !== inner) element.textContent = inner;
   });
@@ -117,16 +139,17 @@ export function paint(canvas, width, height, parts) {
     if (kind === "clipPath") {
       clips.set(`url(#${attributes.id})`, inner[0][1]);
     } else if (kind === "g") {
-      const area = clips.get(attributes["clip-path"]), inside = new Path2D();
-      inside.rect(area.x, area.y, area.width, area.height);
+      const area = clips.get(attributes["clip-path"]);
       pen.save();
-      pen.clip(inside);
+      pen.beginPath();
+      pen.rect(area.x, area.y, area.width, area.height);
+      pen.clip();
       inner.forEach(one);
       pen.restore();
     } else if (kind === "path") {
-      pen.stroke(new Path2D(attributes.d));
+      strokeLine(pen, attributes.line);
     } else if (kind === "line") {
-      pen.stroke(new Path2D(`M${attributes.x1} ${attributes.y1}L${attributes.x2} ${attributes.y2}`));
+      strokeLine(pen, [attributes.x1, attributes.y1, attributes.x2, attributes.y2]);
     } else {
       pen.textAlign = attributes["text-anchor"];
       pen.lineJoin = attributes["stroke-linejoin"];

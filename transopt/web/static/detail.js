@@ -1,14 +1,14 @@
 // The selected tap drawn large: acceleration, what drives the device, error and temperature over one time axis, which
 // can be zoomed and read.
 
-import { colours, paint, sketch, within } from "./curves.js";
+import { colours, lineOf, paint, sketch } from "./curves.js";
 import { largest } from "./words.js";
 
 const G = 9.80665; // m/s^2
 const FIRST_MS = 20; // time of a tap that is shown at first: what is felt of it
 const ROOM = { left: 46, right: 10, top: 4, bottom: 36, between: 13 };
 const DASHES = { clipped: "6 4", start: "2 3", warm: "9 3", limit: "2 3" };
-const WIDTHS = { optimum: 2.2, warm: 1.8, recorded: 1.5, start: 1.4, clipped: 1.3, limit: 1.5 };
+const WIDTHS = { optimum: 2.2, warm: 1.8, recorded: 1, start: 1, clipped: 1, limit: 1 };
 
 function ticks(low, high, about) {
   const raw = (high - low) / about, power = 10 ** Math.floor(Math.log10(raw));
@@ -50,8 +50,7 @@ export class Detail {
   }
 
   get whole() {
-    const { times } = this.frame;
-    return [times[0], times[times.length - 1]];
+    return this.frame.whole;
   }
 
   first() {
@@ -147,7 +146,9 @@ export class Detail {
         low = Math.min(low, value);
         high = Math.max(high, value);
       }
-      return Number.isFinite(low) ? [low - 0.02 * (high - low) - 1e-3, high + 0.1 * (high - low) + 1e-3] : [0, 1];
+      const own = Number.isFinite(low) ? [low - 0.02 * (high - low) - 1e-3, high + 0.1 * (high - low) + 1e-3] : [0, 1];
+      const before = kept && this.ranges?.temperature;
+      return before ? [Math.min(own[0], before[0]), Math.max(own[1], before[1])] : own;
     }
     const decide = { acceleration: ["recorded", "optimum"], input: ["limit", "start"], error: ["optimum", "clipped"] }[name];
     const most = Math.max(...own(decide), 1e-6) * (name === "input" ? 1.32 : 1.12);
@@ -194,7 +195,7 @@ export class Detail {
       }
       const drawn = curves[each].filter(([curve, times, values]) => times && values?.length && (curve === "limit" || !this.hidden.has(curve)));
       above.push(["clipPath", { id: `in-${each}` }, [["rect", { x: left, y: top, width: right - left, height: size }]]],
-        ["g", { "clip-path": `url(#in-${each})`, fill: "none" }, drawn.map((curve) => this.path(curve, y, right - left))]);
+        ["g", { "clip-path": `url(#in-${each})`, fill: "none" }, drawn.map((curve) => this.path(curve, this.panels[each], right - left))]);
       // The limit's handle lies at the upper right of the input.
       text(above, right - 4, each === "input" ? (y(0) + y(-this.tap.input_limit)) / 2 + 5 : top + 13, titles[each],
         { "text-anchor": "end", "paint-order": "stroke", stroke: colour.ground, "stroke-width": 4, "stroke-linejoin": "round" });
@@ -210,14 +211,11 @@ export class Detail {
     return { axes, curves: above };
   }
 
-  // A curve, of which `y` is the height of a value and `pixels` are there for all that is looked at.
-  path([curve, times, values], y, pixels) {
-    let d = "";
-    within(times, values, ...this.view, pixels, (t, value, begins) => {
-      d += `${begins ? "M" : "L"}${Math.round(10 * this.timeX(t)) / 10} ${Math.round(10 * y(value)) / 10}`;
-    });
+  // A curve in a panel, on `pixels` for all that is looked at.
+  path([curve, times, values], { y }, pixels) {
+    const line = lineOf(times, values, this.view, { left: ROOM.left, pixels, zero: y(0), unit: y(0) - y(1) });
     const dashes = DASHES[curve] ? { "stroke-dasharray": DASHES[curve] } : {};
-    return ["path", { d, stroke: colours()[curve], "stroke-width": WIDTHS[curve], ...dashes }];
+    return ["path", { line, stroke: colours()[curve], "stroke-width": WIDTHS[curve], ...dashes }];
   }
 
   // Reads out the curves at the cursor.

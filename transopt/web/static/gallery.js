@@ -1,6 +1,6 @@
 // Built-in scenes to begin from, each with its last tap, which is solved when the gallery is open.
 
-import { drawSmall } from "./curves.js";
+import { drawSmall, penOf, SMALL_PX } from "./curves.js";
 import { by, largest, made, write } from "./words.js";
 import { came } from "./matrix.js";
 
@@ -40,8 +40,8 @@ export class Gallery {
     if (taken) {
       const [tap] = message.taps, { times_s: times } = taken;
       const scale = { view: [times[0], Math.min(times[times.length - 1], message.window_end_s)], acceleration: largest(tap.recorded_m_s2), input: tap.input_limit };
-      const canvas = scene.card.querySelector("canvas");
-      drawSmall(canvas, canvas.clientWidth, times, tap, scale);
+      const canvas = scene.card.querySelector("canvas"), width = canvas.clientWidth;
+      drawSmall(penOf(canvas, width, SMALL_PX), { x: 0, y: 0, width }, times, tap, scale);
       write(scene.card.querySelector(".came"), came(tap));
     } else {
       write(scene.card.querySelector(".came"), "needs recordings that are not here");

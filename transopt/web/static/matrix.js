@@ -1,7 +1,7 @@
 // All taps small, speed by grip, on one scale: curves, tap error in words, and as a bar with the floor marked.
 
-import { drawSmall } from "./curves.js";
-import { differs, label, largest, made, write } from "./words.js";
+import { drawSmall, penOf } from "./curves.js";
+import { differs, label, made, write } from "./words.js";
 
 const LIMITED = 1.05; // times the floor: above, a limit holds the tap back
 
@@ -14,11 +14,17 @@ export function isLimited(tap) {
   return Boolean(tap.figures) && tap.figures.tap_error > LIMITED * tap.floor;
 }
 
+// Where an element lies in the one that it is placed by.
+function boxOf({ offsetLeft: x, offsetTop: y, clientWidth: width, clientHeight: height }) {
+  return { x, y, width, height };
+}
+
 export class Matrix {
   constructor(element, selects) {
-    Object.assign(this, { element, selects, cells: [], full: 0, widths: null, drawn: null });
+    Object.assign(this, { element, selects, cells: [], full: 0, boxes: null, drawn: null });
+    this.canvas = made("canvas", { attributes: { "aria-hidden": "true" } }); // one for all: each would be painted apart
     new ResizeObserver(() => {
-      this.widths = null;
+      this.boxes = null;
       if (this.drawn) this.show(...this.drawn);
     }).observe(element);
     element.addEventListener("keydown", (event) => this.key(event));
@@ -26,7 +32,7 @@ export class Matrix {
 
   open(places) {
     this.places = places;
-    Object.assign(this, { full: 0, widths: null, drawn: null });
+    Object.assign(this, { full: 0, boxes: null, drawn: null });
     const nodes = places.filter((place) => !place.between);
     this.grips = nodes.length && !nodes[0].target ? [...new Set(nodes.map((place) => place.grip_N))] : [];
     const speeds = [...new Set(nodes.map((place) => place.speed_m_s))];
@@ -50,13 +56,13 @@ export class Matrix {
     } else {
       this.element.style.gridTemplateColumns = "";
     }
-    this.element.append(...this.cells);
+    this.element.append(...this.cells, this.canvas);
   }
 
   cell(place, index) {
     const named = place.target || place.between;
     const cell = made("button", { type: "button", className: "cell", attributes: { role: "option" } },
-      ...(named ? [made("span", { className: "place", textContent: place.title })] : []), made("canvas"),
+      ...(named ? [made("span", { className: "place", textContent: place.title })] : []), made("span", { className: "curves" }),
       made("span", { className: "came", textContent: "..." }), made("span", { className: "bar" }, made("i"), made("b")));
     label(cell, place.title);
     cell.onclick = () => this.selects(index);
@@ -70,18 +76,25 @@ export class Matrix {
     });
   }
 
+  // Where the small plots lie. It is read once, since reading after a change costs another layout.
+  measure() {
+    this.boxes = this.cells.map((cell) => boxOf(cell.querySelector(".curves")));
+    this.size = [["x", "width"], ["y", "height"]].map(([from, size]) => Math.max(1, ...this.boxes.map((box) => box[from] + box[size])));
+    [this.canvas.style.width, this.canvas.style.height] = this.size.map((pixels) => `${pixels}px`);
+  }
+
   // Everything of one answer, at one scale.
   show(frame, view, hidden, start) {
     this.drawn = [frame, view, hidden, start];
-    const canvases = this.cells.map((cell) => cell.querySelector("canvas"));
-    this.widths ??= canvases.map((canvas) => canvas.clientWidth); // read together: each reading after a change costs another layout
+    if (!this.boxes) this.measure();
     const taps = frame.taps.filter((tap) => tap && this.cells[tap.index]);
-    const scale = { view, acceleration: Math.max(...taps.map((tap) => largest(tap.recorded_m_s2)), 1e-9),
+    const scale = { view, acceleration: Math.max(...taps.map((tap) => tap.recorded_peak_m_s2), 1e-9),
       input: Math.max(...taps.map((tap) => tap.input_limit)) };
     const most = Math.max(...taps.flatMap((tap) => [tap.figures?.tap_error ?? 0, tap.floor]));
     if (most > this.full || most < 0.5 * this.full) this.full = Math.ceil(12 * most) / 10; // a round one, with room for more
+    const pen = penOf(this.canvas, ...this.size);
     for (const tap of taps) {
-      drawSmall(canvases[tap.index], this.widths[tap.index], frame.times, tap, scale, hidden, start?.taps[tap.index] && { ...start.taps[tap.index], times: start.times });
+      drawSmall(pen, this.boxes[tap.index], frame.times, tap, scale, hidden, start?.taps[tap.index] && { ...start.taps[tap.index], times: start.times });
       this.caption(tap, frame.number);
     }
   }
