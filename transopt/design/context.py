@@ -103,6 +103,7 @@ class Context:
         self.scene, self._given = scene, references
         self.stages: Kept[StageModel] = Kept(KEPT_STAGES) if stages is None else stages
         self._between: Kept[Reference] = Kept(KEPT_BETWEEN)
+        self._earlier: Posing | None = None  # posing of a scene from which this one is varied
         self._devices: dict[tuple[float, Spot], tuple[StageModel, tuple[StageModel, ...]]] = {}
 
     @classmethod
@@ -118,11 +119,15 @@ class Context:
     def varied(self, scene: Scene) -> "Context":
         """Create the context of a scene with other numbers; it shares these references and the cached devices.
 
-        If its time axis differs, the references are resampled.
+        If its time axis differs, the references are resampled. Otherwise references between the recorded ones, and
+        error terms of equal weights, are the same objects, with all that was computed of them.
         """
-        if scene.time_grid() == self.scene.time_grid():
-            return Context(scene, lambda: self.references, self.stages)
-        return Context(scene, lambda: sampled_again(scene, self.references), self.stages)
+        if scene.time_grid() != self.scene.time_grid():
+            return Context(scene, lambda: sampled_again(scene, self.references), self.stages)
+        # Known references are handed over themselves, so that no context keeps the one that it was varied from.
+        found = Context(scene, vars(self).get("references", lambda: self.references), self.stages)
+        found._between, found._earlier = self._between, vars(self).get("posing")
+        return found
 
     @cached_property
     def references(self) -> References:
@@ -151,7 +156,8 @@ class Context:
     @cached_property
     def posing(self) -> Posing:
         """The part of the problem that all taps of the scene share, with user-defined limits evaluated."""
-        return with_laws(self._linear.posing())
+        found = with_laws(self._linear.posing())
+        return found if self._earlier is None else found.weighting_as(self._earlier)
 
     @cached_property
     def yardstick(self) -> Yardstick:

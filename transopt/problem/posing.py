@@ -1,5 +1,6 @@
 """Poses the optimal-control problem of a tap from the limits, weights and time axis of a scene or a library."""
 
+import operator
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -141,6 +142,13 @@ class Posing:
     def _terms(self) -> dict[tuple[float, bool], tuple[ErrorTerm, ...]]:
         """Cache of the terms; taps that share the same tuple share everything derived from it."""
         return {}
+
+    def weighting_as(self, other: "Posing") -> "Posing":
+        """This posing, with the error terms of another one where the same filter and equal numbers define them."""
+        numbers = operator.attrgetter("grid", "plain", "calm", "intention_s")
+        if self.rapid is other.rapid and numbers(self) == numbers(other):
+            vars(self)["_terms"] = other._terms
+        return self
 
     def _terms_of(self, wanted: Wanted) -> tuple[ErrorTerm, ...]:
         if np.isfinite(wanted.ends_s):

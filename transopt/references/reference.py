@@ -115,7 +115,7 @@ class Reference:
         vars(found)["stacked"] = stacked
         return found
 
-    @property
+    @cached_property
     def target(self) -> Target:
         """Target of the device at this speed: r - a_free and a_free itself."""
         recorded = self.recorded_m_s2, self.recorded_after_m_s2, self.recorded_before_m_s2

@@ -241,8 +241,12 @@ class Service:
     @property
     def context(self) -> Context:
         """Devices and references of the scene as it is now."""
-        if self._context is None or self._context.scene is not self.scene:
-            self._context = Context(self.scene, self.references(self.scene), self._stages)
+        known, references = self._context, self.references(self.scene)
+        if known is None or known.references is not references:
+            self._context = Context(self.scene, references, self._stages)
+        elif known.scene is not self.scene:
+            self._context = known.varied(self.scene)
+        assert self._context is not None
         return self._context
 
     def reference(self, place: Place) -> Reference:

@@ -15,6 +15,7 @@ from transopt.design.build import build_library
 from transopt.library.columns import EntryTable
 from transopt.problem.answer import Status
 from transopt.scene.recordings import recordings_of
+from transopt.scene.scene import Scene
 from transopt.web.controls import controls
 from transopt.web.opening import described, opened, own_taps
 from transopt.web.question import limit_for_error, movers
@@ -210,3 +211,34 @@ def test_a_library_that_was_refined_on_its_device_is_said_to_be_shown_anew(libra
     learnt = replace(library, meta={**library.meta, "refinement": {"rounds": []}})
     (remark,) = described(opened(learnt))["remarks"]
     assert "refined on its device" in remark
+
+
+@pytest.mark.parametrize(
+    ("changes", "terms_stay"),
+    [
+        ({"limits.current_A": 3.0}, True),
+        ({"weights.rho": 0.02}, True),
+        ({"weights.plain": 0.5}, False),
+        ({"limits.stroke_m": 0.01, "limits.velocity_m_s": 1.0}, True),
+    ],
+)
+def test_what_a_change_leaves_as_it_is_stays_the_same_objects_and_answers_alike(
+    small: Scene, changes: dict[str, float], terms_stay: bool
+) -> None:
+    between = (0.31, 3.0)
+    service, fresh = Service(small), Service(small)
+    service.change({}, between)
+    before = service.context.posed(*between).problem
+    for current_A in (2.0, 4.0):
+        service.change({"limits.current_A": current_A}, between)
+        service.quick([0])
+    service.change(changes, between)
+    fresh.change(changes, between)
+    after = service.context.posed(*between).problem
+    assert after.target is before.target
+    assert (after.terms is before.terms) is terms_stay
+    for found, expected in zip(service.quick([2, 0]), fresh.quick([2, 0]), strict=True):
+        assert found.cells == expected.cells
+        assert found.curves is not None
+        assert expected.curves is not None
+        np.testing.assert_allclose(found.curves.input, expected.curves.input, rtol=0, atol=1e-9)
