@@ -24,6 +24,7 @@ from controller.servo.interface import Event, Fault, Output, Readings, State
 
 REPLAY = FIRMWARE / "replay"
 MOST_EVENTS = len(Fault)
+NO_EVENTS = bytes(MOST_EVENTS)
 INSTALLED = FIRMWARE / ("_core.pyd" if os.name == "nt" else "_core.so")
 
 
@@ -273,7 +274,7 @@ class CoreDevice:
         state = self._library.td_probe_step(self._device.at, r.tick, counts, stops, *self._at)
         events: tuple[Event, ...] = ()
         happened = self._events.raw
-        if any(happened):  # a step in a thousand
+        if happened != NO_EVENTS:  # a step in a thousand
             events = tuple(
                 Event(r.tick, EVENTS[code], *self._contacts[4 * j : 4 * j + 4])  # type: ignore[arg-type]
                 for j, code in enumerate(happened)

@@ -15,6 +15,7 @@ import re
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -169,7 +170,7 @@ class OwnWorld:
         )
         self._random = np.random.default_rng(seed)
         self._noise = iter(())  # type: ignore[var-annotated]
-        self._flows: dict[float, tuple[FloatArray, FloatArray]] = {}
+        self._flows: dict[float, tuple[FloatArray, FloatArray, FloatArray]] = {}
         self._tremor = [(tremor * size, 2 * math.pi * f, self._random.uniform(0, 6.28)) for size, f in TREMOR]
         self.tick, self.pressed, self.held_N, self.weight_N = 0, False, grip_N, 0.0
         self.grip_N = grip_N
@@ -179,6 +180,7 @@ class OwnWorld:
         self._late_ticks, self._felt_after = divmod(round(self.truth.delay_s / STEP_S), round(dt_s / STEP_S))
         # The oldest first: felt before and after the moment within this period, and those that are under way.
         self._commands = deque([0.0] * (self._late_ticks + 2), maxlen=self._late_ticks + 2)
+        self._meant: tuple[Any, ...] = ()  # the last time, path and grip of `hand_m`, and the position
         self.person = Person(self)
 
     @property
@@ -186,12 +188,15 @@ class OwnWorld:
         return self.tick * self.dt_s
 
     def hand_m(self, time_s: float) -> float:
-        """Position that the hand means to have."""
-        shaking = 0.0
-        if self.grip_N > 0:
-            for size, w, phase in self._tremor:
-                shaking += size * math.sin(w * time_s + phase)
-        return self.path_m(time_s) + shaking
+        """Position that the hand means to have; the end of one period is the beginning of the next."""
+        when = (time_s, self.path_m, self.grip_N)
+        if self._meant[:3] != when:
+            shaking = 0.0
+            if self.grip_N > 0:
+                for size, w, phase in self._tremor:
+                    shaking += size * math.sin(w * time_s + phase)
+            self._meant = *when, self.path_m(time_s) + shaking
+        return float(self._meant[3])
 
     def _draw(self) -> float:
         value = next(self._noise, None)
@@ -201,7 +206,7 @@ class OwnWorld:
         return float(value)
 
     def readings(self, tick: int) -> Readings:
-        s, w, x = self.sensing, self.wires, self._x
+        s, w, x = self.sensing, self.wires, self._x.tolist()  # floats, whose arithmetic is faster than an array's
         counts = math.floor(w.encoder * x[Z1] / s.count_m + 0.5) + s.surface_counts
         grip = self.grip_N + self.weight_N if w.stuck_grip_N is None else w.stuck_grip_N
         dead = w.accelerometer == 0
@@ -219,25 +224,32 @@ class OwnWorld:
 
     def advance(self, output: Output) -> None:
         self.person.act()
-        x, now_s = self._x, self.now_s
-        x[HAND], following = self.hand_m(now_s), self.hand_m(now_s + self.dt_s)
-        x[HAND_SPEED] = (following - x[HAND]) / self.dt_s
+        x, here = self._x, self.hand_m(self.now_s)
+        following = self.hand_m((self.tick + 1) * self.dt_s)
+        x[HAND], x[HAND_SPEED] = here, (following - here) / self.dt_s
         if self.grip_N == 0:
             # The hand is away, and takes hold again where the stylus is.
             x[HAND], x[HAND_SPEED] = x[Z2], x[V2]
             x[Z3], x[V3] = x[Z2], x[V2]
         self._commands.append(self.wires.amplifier * output.command_A)
-        for flow, command_A in zip(self._at(self.grip_N), self._commands, strict=False):
-            x[COMMAND] = command_A
-            x = flow @ x
-        self._x = x
+        first, last, whole = self._at(self.grip_N)
+        earlier, later = self._commands[0], self._commands[1]
+        x[COMMAND] = earlier
+        if earlier == later:
+            self._x = whole @ x
+        else:
+            x = first @ x
+            x[COMMAND] = later
+            self._x = last @ x
         self.tick += 1
 
-    def _at(self, grip_N: float) -> tuple[FloatArray, FloatArray]:
+    def _at(self, grip_N: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """What moves the state at a grip: until a command is felt, from there on, and over the whole period."""
         if grip_N not in self._flows:
             step = _step(_flow(self.truth, self.sensing, self.wires.motor, grip_N))
-            power, rest = np.linalg.matrix_power, round(self.dt_s / STEP_S) - self._felt_after
-            self._flows[grip_N] = power(step, self._felt_after), power(step, rest)
+            power, period = np.linalg.matrix_power, round(self.dt_s / STEP_S)
+            parts = power(step, self._felt_after), power(step, period - self._felt_after)
+            self._flows[grip_N] = *parts, parts[1] @ parts[0]
         return self._flows[grip_N]
 
     def asked(self, what: str) -> None:

@@ -27,17 +27,19 @@ class SlowLine(SimulatedPort):
 
     def step(self) -> None:
         now_s = self.now_s()
-        self._core.receive(self.link.to_device.arrived(now_s))
+        if arrived := self.link.to_device.arrived(now_s):
+            self._core.receive(arrived)
         self.world.advance(self._core.step(self.world.readings(self.ticks)))
         self._core.ROOM_BYTES = DRIVER_BYTES - len(self._waiting)
         self._waiting += self._core.bytes_to_send()
         self._credit_B = min(self._credit_B + self._rate_B, float(len(self._waiting)))
         whole = int(self._credit_B)
-        self._credit_B -= whole
-        self._sent, self._waiting = self._sent + self._waiting[:whole], self._waiting[whole:]
-        end = self._sent.rfind(DELIMITER) + 1
-        self.link.device_sends(self._sent[:end], now_s)
-        self._sent = self._sent[end:]
+        if whole:
+            self._credit_B -= whole
+            self._sent, self._waiting = self._sent + self._waiting[:whole], self._waiting[whole:]
+            end = self._sent.rfind(DELIMITER) + 1
+            self.link.device_sends(self._sent[:end], now_s)
+            self._sent = self._sent[end:]
         self.ticks += 1
 
     def connect(self, port: str | Connection) -> Device:

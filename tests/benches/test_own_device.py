@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from controller.servo.interface import Output, State
-from tests.benches.own_device import OwnWorld, Sensing, Truth
+from tests.benches.own_device import HAND, OwnWorld, Sensing, Truth
 
 DT_S, BEFORE = 1e-4, 20
 
@@ -28,3 +28,13 @@ def test_the_current_comes_by_the_delay_late_however_long_it_is(delay_s: float) 
     wanted = 1 - np.exp(-2 * np.pi * Truth().pole_Hz * since_s)
     # What the stylus's motion induces is below this.
     np.testing.assert_allclose(answer(delay_s), wanted, rtol=0, atol=5e-3)
+
+
+def test_the_hand_is_where_it_means_to_be_after_every_period() -> None:
+    world = OwnWorld(DT_S)
+    world.asked("move")
+    begin_m = world.hand_m(0.0)
+    for _ in range(2000):
+        world.advance(Output(0.0, State.IDLE, 0.0, 0.0, 25.0))
+        assert world._x[HAND] == pytest.approx(world.hand_m(world.now_s), abs=1e-12)
+    assert world.hand_m(world.now_s) - begin_m > 1e-3
