@@ -294,6 +294,17 @@ def test_norms_of_zero_do_not_skip_the_prediction_of_heat(start: Start) -> None:
     assert talker.refused(m.Start(0)) is Reason.TOO_HOT
 
 
+@pytest.mark.parametrize("above_K", [-0.01, 0.01])
+def test_nothing_is_armed_within_the_withheld_margin_below_the_coils_limit(start: Start, above_K: float) -> None:
+    play_limit_C = COIL.limit_C - EXCITED.withhold_K
+    warm = replace(EXCITED, coil=replace(COIL, start_winding_C=play_limit_C + above_K, start_housing_C=90.0))
+    talker = Talker(start()).configured(configuration_of(warm)).loaded(ONE_WAVEFORM)
+    if above_K > 0:
+        assert talker.refused(arm(warm, ONE_WAVEFORM)) is Reason.TOO_HOT
+    else:
+        talker.done(arm(warm, ONE_WAVEFORM))
+
+
 def test_too_few_readings_are_no_rest(start: Start) -> None:
     talker = Talker(start())
     talker.configure(configuration_of(SETTINGS))
