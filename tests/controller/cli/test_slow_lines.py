@@ -1,6 +1,7 @@
 """A line that does not carry every tick: what is recorded is kept on the device and sent afterwards, or refused."""
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from controller.cli import port as port_commands
 from controller.firmware.core_device import CoreDevice
+from controller.host.driver import Device
 from controller.record.telemetry import read_csv
 from controller.servo.interface import Fault, Output, Readings, State
 from tests.benches.commands import Outcome, Run
@@ -126,15 +128,23 @@ def test_taps_at_115200_baud_are_recorded_whole(
     play: Run, monkeypatch: pytest.MonkeyPatch, flags: tuple[str, ...], count: int, before: int, after: int
 ) -> None:
     """Every tick around each tap, as the sensors have read it; a device with little room keeps less around it."""
-    world = Tapping()
+    world, awaited, catch_up = Tapping(), [], Device.catch_up
+
+    def wait(device: Device, newest: Callable[[], int], tick: int) -> None:
+        awaited.append(tick)
+        catch_up(device, newest, tick)
+
+    monkeypatch.setattr(Device, "catch_up", wait)
     at_line(monkeypatch, world, 115_200, flags)
     outcome = play(*TAP, count)
     assert outcome.code == 0, outcome.out + outcome.err
     assert outcome.out.count("armed: tap once") == count
     table = read_csv(Path("taps") / "telemetry.csv")
-    for name in ("tap_001.csv", "tap_002.csv")[:count]:
+    assert len(awaited) == count
+    for name, last in zip(("tap_001.csv", "tap_002.csv"), awaited, strict=False):
         head, *_ = (Path("taps") / name).read_text().splitlines()
         contact = int(head.rpartition(" ")[2])
+        assert last == contact + after, "another telemetry is asked for before the last record has come"
         times_s, _, position_m, _ = np.loadtxt(Path("taps") / name, delimiter=",", skiprows=4).T
         assert np.round(times_s / DT_S).tolist() == list(range(-before, after + 1))
         ticks = contact + np.arange(-before, after + 1)
