@@ -48,6 +48,8 @@ def test_help_is_of_whole_paragraphs_and_gives_a_flag_no_type(
     said = terminal("transopt", "solve", "--help").out
     assert "bool>" not in said
     assert "--grid-cap" in said
+    for row in (r"--full +Report with", r"--figures +--no-figures +Draw "):
+        assert re.search(row, said), f"a word stands behind a flag: {row}"
     (paragraph,) = re.findall(r"Exit 1: .*?\n *\n", said, re.DOTALL)
     lines = [line.strip() for line in paragraph.strip().splitlines()]
     assert all(len(line) + len(after.split()[0]) >= 76 for line, after in pairwise(lines)), paragraph
