@@ -40,6 +40,22 @@ def test_scene_library_and_figure_are_saved_by_the_browser(window: Window, tmp_p
     assert f"{small.name}, 0.4 m/s, 3 N: tap error" in drawing
 
 
+def test_a_saved_figure_cuts_no_word(browser: Any, small: Scene) -> None:
+    """The axis of the winding has the longest numbers, such as 25.075."""
+    with Page(with_values(small, {"grid.speeds_m_s": [0.15]})) as served:
+        window = Window(browser, served.address)
+        with window.tab.expect_download() as download:
+            window.see("[data-figure=svg]").click()
+        window.tab.set_content(Path(download.value.path()).read_text())
+        words = window.tab.evaluate(
+            "() => [...document.querySelectorAll('text')].map((text) => [text.textContent, text.getBBox()])"
+            ".map(([word, { x, width }]) => [word, x, x + width])"
+        )
+        window.tab.close()
+    assert any(len(word) > 5 and word.replace(".", "").isdigit() for word, *_ in words), words
+    assert [word for word, left, right in words if left < 0 or right > 1200] == []
+
+
 def test_own_taps_are_taken_and_what_is_none_is_answered_before_it_is_sent(window: Window, tmp_path: Path) -> None:
     window.see("#files").set_input_files(str(TAP))
     window.says("#description", "tap_0_3_m_s.csv")

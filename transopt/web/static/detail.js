@@ -7,6 +7,7 @@ import { largest } from "./words.js";
 const G = 9.80665; // m/s^2
 const FIRST_MS = 20; // time of a tap that is shown at first: what is felt of it
 const ROOM = { left: 46, right: 10, top: 4, bottom: 36, between: 13 };
+const FULL_WIDTH = 5; // characters of a number on a vertical axis for which the room on its left suffices in any font
 const DASHES = { clipped: "6 4", start: "2 3", warm: "9 3", limit: "2 3" };
 const WIDTHS = { optimum: 2.2, warm: 1.8, recorded: 1, start: 1, clipped: 1, limit: 1 };
 
@@ -191,7 +192,10 @@ export class Detail {
       for (const t of across) along(axes, this.timeX(t / 1e3), top, this.timeX(t / 1e3), bottom, colour.grid);
       for (const value of ticks(low, high, Math.max(size / 24, 3))) {
         along(axes, left, y(value), right, y(value), value === 0 ? colour.line : colour.grid);
-        text(axes, left - 6, y(value) + 4, String(Number(value.toPrecision(6))), { "text-anchor": "end" });
+        // A long number, as of a temperature, is condensed into its room; how wide a digit is depends on the font.
+        const number = String(Number(value.toPrecision(6)));
+        const condensed = number.length > FULL_WIDTH ? { textLength: left - 8, lengthAdjust: "spacingAndGlyphs" } : {};
+        text(axes, left - 6, y(value) + 4, number, { "text-anchor": "end", ...condensed });
       }
       const drawn = curves[each].filter(([curve, times, values]) => times && values?.length && (curve === "limit" || !this.hidden.has(curve)));
       above.push(["clipPath", { id: `in-${each}` }, [["rect", { x: left, y: top, width: right - left, height: size }]]],
