@@ -1,5 +1,7 @@
 """Figure of one tap: position, acceleration against reference, current, temperature over time."""
 
+import textwrap
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -11,6 +13,7 @@ from transopt.base.signals import STANDARD_GRAVITY_M_S2
 BEFORE_MS = 5.0
 REFERENCE = "0.6"
 WANTED = "recorded tap"
+TITLE_CHARACTERS = 90  # of one line of the title; a hundred of mean width fill the figure
 
 
 def _axis(axes: Axes, label: str) -> None:
@@ -93,6 +96,7 @@ def tap_figure(tap: PlayedTap, title: str, *, walled: bool) -> Figure:
         found = tap.compared
         errors = f"tap error {100 * found.tap_error:.1f} %, playback error {100 * found.playback_error:.2f} %"
         title += f": latency {found.latency_s * 1e6:.0f} µs, {errors}"
-    figure.suptitle(title, fontsize=LABEL_PT)
-    leave_room(figure, left_in=0.85, right_in=0.1, below_in=0.48, above_in=0.35)
+    lines = textwrap.wrap(title, TITLE_CHARACTERS)
+    figure.suptitle("\n".join(lines), fontsize=LABEL_PT, parse_math=False)
+    leave_room(figure, left_in=0.85, right_in=0.1, below_in=0.48, above_in=0.17 + 0.18 * len(lines))
     return figure

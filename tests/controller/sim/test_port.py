@@ -108,6 +108,18 @@ def test_the_figure_with_and_without_motor_data(library: Library, tmp_path: Path
         assert (tmp_path / name).stat().st_size > 20_000
 
 
+@pytest.mark.parametrize("name", ["out/library_of_mine_" * 8, "out/$a_$/a library of mine " * 8], ids=["one word", "words"])
+def test_the_title_of_the_figure_is_whole_however_long_the_files_name(library: Library, name: str) -> None:
+    [contact], _ = contacts(library, SimulatedTap(0.2, 3.0))
+    figure = tap_figure(compared(library, contact), name, walled=False)
+    figure.draw_without_rendering()
+    title, panel = figure.texts[0].get_window_extent(), figure.axes[0].get_window_extent()
+    assert title.x0 >= 0
+    assert title.x1 <= figure.bbox.x1
+    assert panel.y1 <= title.y0
+    assert title.y1 <= figure.bbox.y1
+
+
 def test_simulate_is_short_for_the_port(play: Run) -> None:
     tap = ("tap", "library.npz", "--speed", 0.2, "--seed", 3)
     outcomes = [play(*tap, *how, "--out", name) for how, name in ((("--simulate",), "a"), (("--port", "sim:"), "b"))]
