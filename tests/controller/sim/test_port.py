@@ -108,7 +108,9 @@ def test_the_figure_with_and_without_motor_data(library: Library, tmp_path: Path
         assert (tmp_path / name).stat().st_size > 20_000
 
 
-@pytest.mark.parametrize("name", ["out/library_of_mine_" * 8, "out/$a_$/a library of mine " * 8], ids=["one word", "words"])
+@pytest.mark.parametrize(
+    "name", ["out/library_of_mine_" * 8, "out/$a_$/a library of mine " * 8], ids=["one word", "words"]
+)
 def test_the_title_of_the_figure_is_whole_however_long_the_files_name(library: Library, name: str) -> None:
     [contact], _ = contacts(library, SimulatedTap(0.2, 3.0))
     figure = tap_figure(compared(library, contact), name, walled=False)
