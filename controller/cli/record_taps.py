@@ -28,6 +28,10 @@ from controller.waveforms.prediction import scene_of
 from transopt.base import terminal
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
+from transopt.base.writing import rounded_down
+
+TRIGGER_SHARE = 0.7  # of the softest tap's peak is proposed for --trigger
+LEAST_TRIGGER_G = 0.1  # what is proposed lies above the accelerometer's noise, 0.02 g rms
 
 
 def taps_by_a_person(
@@ -89,7 +93,7 @@ class TapFiles:
         speeds, grips = wanted.speeds_m_s or speeds_m_s, wanted.grips_N or grips_N
         self._places = list(product(enumerate(speeds), enumerate(grips), range(wanted.repeats)))
         self._written: list[str] = []
-        self._silent: list[str] = []
+        self._silent: dict[str, float] = {}  # name of a tap that was not heard -> its largest deviation, in m/s^2
 
     def _taps(self) -> Iterator[tuple[SimulatedTap, str]]:
         wrong = replace(self._wrong, mismatch=0.0)
@@ -123,7 +127,7 @@ class TapFiles:
             run(bench, device, recorder, name, gain=gain)
             heard = [contact for contact in recorder.contacts if np.isfinite(met_surface(contact, settings)[0])]
             if not heard:
-                self._silent.append(name)
+                self._silent[name] = recorder.loudest_m_s2
                 continue
             contact = heard[0]
             columns, scalars = measured(contact, settings, self._wrong.sensors.accelerometer_bandwidth_Hz)
@@ -138,7 +142,11 @@ class TapFiles:
         nothing : what it means that a tap was not heard. following : a line on what to do with the files.
         """
         if self._silent:
-            typer.echo(f"{nothing} in {', '.join(self._silent)}", err=True)
+            softest_g = min(self._silent.values()) / STANDARD_GRAVITY_M_S2
+            lower = softest_g * TRIGGER_SHARE
+            remedy = f": give --trigger {rounded_down(lower, 1):g}, another --out" if lower >= LEAST_TRIGGER_G else ""
+            softest = f", the softest of which reached {softest_g:.2g} g{remedy}" if softest_g > 0 else ""
+            typer.echo(f"{nothing} in {', '.join(self._silent)}{softest}", err=True)
             raise typer.Exit(1)
         files = f"{self._out}: {len(self._written)} taps, {self._written[0]} to {self._written[-1]}"
         terminal.console().print(f"{files}\nnext: {following}" if following else files)
@@ -161,7 +169,10 @@ def measured(
 
 
 def taps_on_object(wanted: Wanted, scene: str, trigger_g: float, force_noise_N: float) -> None:
-    """The undriven device on the scene's object, with the force on the stylus."""
+    """The undriven device on the scene's object, with the force on the stylus.
+
+    The accelerometer has the range that the scene states for its simulated recordings.
+    """
     if 0 in (wanted.grips_N or ()):
         raise InputError("--grips 0: only a sweep is played on the free device: name grips above 0")
     truth = scene_like(scene)
@@ -170,6 +181,8 @@ def taps_on_object(wanted: Wanted, scene: str, trigger_g: float, force_noise_N: 
         raise InputError(
             f"--object: {truth.name} states no simulated object: give --true-device with one, like wood_on_foam"
         )
+    sensors = replace(wanted.wrong.sensors, accelerometer_range_g=target.range_g)
+    wanted = replace(wanted, wrong=replace(wanted.wrong, sensors=sensors))
     dt_s, true = truth.time.dt_s, device_in(truth, wanted.wrong, wanted.seed)
     taps = TapFiles(wanted, truth.grid.speeds_m_s, truth.grid.grips_N if target.grip_N is None else [target.grip_N])
     bench, hand = striking_bench(dt_s, wanted.device)

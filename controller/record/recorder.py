@@ -88,6 +88,7 @@ class Recorder:
     count_m, surface_counts : of the encoder; the surface may be moved between two taps.
     contacts : completed contacts.
     records, missed : numbers of records so far, received and lost.
+    loudest_m_s2 : largest deviation from the running mean so far that could have been a contact; 0 without a trigger.
 
     Raises
     ------
@@ -109,7 +110,7 @@ class Recorder:
         self._before, self._after = (round(each / dt_s) for each in around_s)
         self.count_m, self.surface_counts = count_m, surface_counts
         self._trigger_m_s2, self._mean_m_s2 = trigger_m_s2, float("nan")
-        self._deaf_until = 0
+        self._deaf_until, self.loudest_m_s2 = 0, 0.0
         self._first, self._every = 0, 1  # of the telemetry
         self.contacts: list[Contact] = []
         self.records = self.missed = 0
@@ -218,9 +219,11 @@ class Recorder:
         if self._deaf_until == 0:
             # The first reading is gravity.
             self._mean_m_s2, self._deaf_until = a, tick + self._before
-        if tick >= self._deaf_until and abs(a - self._mean_m_s2) > trigger_m_s2:
-            self._open.append(Happened(0, tick, Notice.CONTACT, float("nan"), float("nan"), 0))
-            self._deaf_until = tick + self._before + self._after
+        if tick >= self._deaf_until:
+            self.loudest_m_s2 = max(self.loudest_m_s2, abs(a - self._mean_m_s2))
+            if abs(a - self._mean_m_s2) > trigger_m_s2:
+                self._open.append(Happened(0, tick, Notice.CONTACT, float("nan"), float("nan"), 0))
+                self._deaf_until = tick + self._before + self._after
         self._mean_m_s2 += every * self._dt_s / MEAN_S * (a - self._mean_m_s2)
 
     def _complete(self, event: Happened) -> None:

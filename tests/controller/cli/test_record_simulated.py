@@ -1,5 +1,6 @@
 """`transopt-play record --simulate`: the recorder of any port, on a simulated device in a simulated hand."""
 
+import re
 import shlex
 from pathlib import Path
 
@@ -119,6 +120,14 @@ def test_taps_on_an_object(play: Run) -> None:
     np.testing.assert_array_equal(as_a_tap.acceleration.values, acceleration)
 
 
+def test_the_accelerometer_has_the_range_of_the_scenes_recordings(play: Run) -> None:
+    """That of `firm_fast` reaches to 50 g; a tap of 19 g would clip the built-in one."""
+    outcome = play(*OBJECT, "--true-device", "firm_fast", "--speeds", 0.6, "--grips", 1)
+    assert outcome.code == 0, outcome.err
+    peak_m_s2 = np.abs(columns("t/tap_0.6m_s_1N_1.npz")["acceleration_m_s2"]).max()
+    assert peak_m_s2 > SEED_SENSORS.accelerometer_range_g * 9.81
+
+
 def test_the_hand_is_read_from_taps_on_a_soft_object(play: Run) -> None:
     """A soft object's force rises out of the noise milliseconds after contact: displacements begin where it began."""
     outcome = play(*OBJECT, "--speeds", 0.1, "--grips", "1,5")
@@ -138,7 +147,11 @@ def test_the_hand_is_read_from_taps_on_a_soft_object(play: Run) -> None:
 def test_a_touch_too_light_for_the_trigger_is_named(play: Run) -> None:
     outcome = play(*OBJECT, "--speeds", "0.03,0.2", "--grips", "1,3")
     assert outcome.code == 1
-    assert outcome.err.strip() == ("nothing above 1 g (--trigger) in tap_0.03m_s_1N_1.npz, tap_0.03m_s_3N_1.npz")
+    assert "nothing above 1 g (--trigger) in tap_0.03m_s_1N_1.npz, tap_0.03m_s_3N_1.npz, the softest" in outcome.err
+    (trigger,) = re.findall(r"give --trigger ([\d.]+), another --out", outcome.err)
+    lower = play(*OBJECT[:-1], "lower", "--speeds", "0.03,0.2", "--grips", "1,3", "--trigger", trigger)
+    assert lower.code == 0, lower.err
+    assert len(list(Path("lower").iterdir())) == 4
     assert play(*OBJECT[:-1], "light", "--speeds", 0.03, "--grips", 3, "--trigger", 0.3).code == 0
 
 
