@@ -121,7 +121,7 @@ def test_taps_on_an_object(play: Run) -> None:
 
 
 def test_the_accelerometer_has_the_range_of_the_scenes_recordings(play: Run) -> None:
-    """That of `firm_fast` reaches to 50 g; a tap of 19 g would clip the built-in one."""
+    """The range of `firm_fast` is 50 g; a tap of 19 g would clip the built-in sensor of 18 g."""
     outcome = play(*OBJECT, "--true-device", "firm_fast", "--speeds", 0.6, "--grips", 1)
     assert outcome.code == 0, outcome.err
     peak_m_s2 = np.abs(columns("t/tap_0.6m_s_1N_1.npz")["acceleration_m_s2"]).max()
