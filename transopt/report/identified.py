@@ -15,6 +15,7 @@ from transopt.scene.model_parts import MODEL_PARTS, DriveDevice, FourthOrderHand
 from transopt.scene.scene import Scene
 
 GAIN_TOLERANCE = 0.02  # of the amplifier's gain from 1; the design assumes a gain of 1
+SAME_GRIP = 0.01  # part by which a mean of what a grip sensor read may differ from the grip that was held
 
 
 def _use(scene: Scene, model: IdentifiedModel, name: str) -> str:
@@ -144,12 +145,13 @@ def moving_target(scene: Scene) -> str:
 def _outside(scene: Scene, model: IdentifiedModel) -> list[str]:
     """A note on grips of the scene outside the recorded ones."""
     recorded = [grip for grip in model.moving.grips_N if grip > 0]
-    beyond = [f"{grip:g}" for grip in scene.grid.grips_N if grip > 0 and not recorded[0] <= grip <= recorded[-1]]
+    least, most = recorded[0] * (1 - SAME_GRIP), recorded[-1] * (1 + SAME_GRIP)
+    beyond = [f"{grip:g}" for grip in scene.grid.grips_N if grip > 0 and not least <= grip <= most]
     if not beyond:
         return []
     return [
         "",
-        f"Outside the recorded grips, {recorded[0]:g} to {recorded[-1]:g} N, but within the tenth that is allowed: "
+        f"Outside the recorded grips, {recorded[0]:.3g} to {recorded[-1]:.3g} N, but within the tenth that is allowed: "
         f"{', '.join(beyond)} N. The model is {'extended' if isinstance(model.moving, FittedPart) else 'held'} "
         "there.",
     ]
@@ -177,7 +179,7 @@ def identified_lines(build: Build) -> list[str]:
         lines += ["", *table(["part", "parameter", "value (SI)", "95 %", "deviation"], rows)[:-1]]
     lines += _outside(scene, model)
     if model.device is not None and model.device.nrmse:
-        errors = ", ".join(f"{grip} N: {percent(value)} %" for grip, value in model.device.nrmse.items())
+        errors = ", ".join(f"{float(grip):.3g} N: {percent(value)} %" for grip, value in model.device.nrmse.items())
         lines += [
             "",
             f"Relative error of the model on single trials outside its fit, their noise included: {errors}.",

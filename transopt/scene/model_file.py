@@ -178,6 +178,8 @@ def put_model(content: dict[str, Any], identified: dict[str, Any]) -> None:
 def served_grips(identified: dict[str, Any], grips_N: Sequence[float]) -> list[float]:
     """The given grips if the model covers them all, else those at which it was identified, without the free one.
 
+    These are means of what a sensor read, such as 1.00001 N, and are rounded to what it can tell, 3 digits.
+
     Parameters
     ----------
     identified : see `identified_table`.
@@ -190,7 +192,7 @@ def served_grips(identified: dict[str, Any], grips_N: Sequence[float]) -> list[f
         for grip_N in grips_N:
             check_grip(known, grip_N)
     except InputError:
-        return [grip_N for grip_N in known if grip_N > 0] or known
+        return sorted({float(f"{grip_N:.3g}") for grip_N in known if grip_N > 0}) or known
     return list(grips_N)
 
 

@@ -59,7 +59,7 @@ class TestOneCommand:
         )
 
     def test_a_built_in_scene_takes_the_grips_of_the_file(self, run: Run) -> None:
-        save_part(MODEL, "device", drive_device(grips_N=[0.0, 2.0, 4.0]))
+        save_part(MODEL, "device", drive_device(grips_N=[0.0, 2.00001, 3.99998]))
         outcome = run("solve", "--model", MODEL, "--no-figures")
         assert outcome.code == 0, outcome.err
         assert "grips 2, 4 N: those of MODEL.json" in outcome.out

@@ -276,7 +276,7 @@ class TestReport:
     @pytest.fixture
     def identified(self, make: Make, taps: list[Recording]) -> Build:
         parts: Parts = {
-            "device": drive_device(nrmse=0.2),
+            "device": drive_device(nrmse=0.2, grips_N=[1.00009, 2.99998, 4.99998]),
             "amplifier": amplifier_part().model_copy(update={"gain": 1.05}),
             "hand": hand_part(),
             "coil": coil_part(),
@@ -291,7 +291,7 @@ class TestReport:
         assert "- coil: thermal resistances and time constants, in place of the motor's. good to 1 %" in section
         assert "gain of 1.05 is NOT in the design" in section
         assert "- hand: not used: the device has its own" in section
-        assert "within the tenth that is allowed: 5.4 N" in section
+        assert "Outside the recorded grips, 1 to 5 N, but within the tenth that is allowed: 5.4 N" in section
         assert "1 N: 20.0 %" in section
         rows = json.loads(build_json(identified))["identified"]
         assert rows["parts"]["coil"]["values"]["tau_w_s"] == 12.0
