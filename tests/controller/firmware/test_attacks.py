@@ -351,6 +351,14 @@ def test_the_heat_of_the_coil_survives_a_restart_or_is_taken_at_its_most(start: 
     assert start(heat_C=(math.nan, 20.0)).coil_C()[0] == pytest.approx(100.0, abs=0.2)
 
 
+def test_a_configuration_that_states_a_cold_coil_does_not_cool_the_devices_own(start: Start) -> None:
+    cold = replace(EXCITED, coil=replace(COIL, start_winding_C=25.0, start_housing_C=25.0))
+    talker = Talker(start(heat_C=(97.0, 85.0))).configured(configuration_of(cold)).loaded(ONE_WAVEFORM)
+    look = talker.device.look()
+    assert (look.winding_C, look.housing_C) == pytest.approx((97.0, 85.0), abs=0.1)
+    assert talker.refused(arm(cold, ONE_WAVEFORM)) is Reason.TOO_HOT
+
+
 def test_three_stops_have_three_names(start: Start) -> None:
     stops = {"emergency_stop": Fault.EMERGENCY_STOP, "late": Fault.LATE_TICK}
     for how, fault in stops.items():
