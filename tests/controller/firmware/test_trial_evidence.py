@@ -168,6 +168,15 @@ def test_a_trial_too_quiet_to_be_felt_proves_nothing(start: Start) -> None:
     assert tried(talker, Hand(talker), gain=0.01).bits == m.PULSE_SOUND
 
 
+@pytest.mark.parametrize(("gain", "bits"), [(0.04, 0), (0.06, m.TRIAL_FINISHED)])
+def test_a_trial_below_half_its_gain_proves_nothing_though_its_current_flows(
+    start: Start, gain: float, bits: int
+) -> None:
+    """The most current of a strong library is measured even at a gain of 0.04."""
+    talker = ready(start)
+    assert tried(talker, Hand(talker), image=quiet_image(3.9), gain=gain).bits == m.PULSE_SOUND | bits
+
+
 def test_a_second_trial_forgets_the_first_at_its_beginning(start: Start) -> None:
     talker = ready(start)
     tried(talker, Hand(talker))
