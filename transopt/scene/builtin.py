@@ -45,7 +45,7 @@ def scene_path(name: str) -> Path:
     return SCENES / f"{name}.toml"
 
 
-def load_scene(scene: str | Path, *, model: Path | None = None, accept: bool = False) -> "Scene":
+def load_scene(scene: str | Path, *, model: str | Path | None = None, accept: bool = False) -> "Scene":
     """Load a scene by its built-in name, or by the path of a .toml file, which may name a built-in motor.
 
     Parameters
@@ -61,4 +61,5 @@ def load_scene(scene: str | Path, *, model: Path | None = None, accept: bool = F
     from transopt.scene.file import read_scene  # loads pydantic, which listing the names does not need
 
     path = Path(scene) if str(scene).lower().endswith(".toml") else scene_path(str(scene))
-    return read_scene(path, search=[FOLDER], model=model, model_grips=path.parent == SCENES, accept=accept)
+    file = None if model is None else Path(model)
+    return read_scene(path, search=[FOLDER], model=file, model_grips=path.parent == SCENES, accept=accept)

@@ -54,7 +54,7 @@ class TestOneCommand:
         assert run("scene", "new", "sub/mine.toml", "--model", MODEL).code == 0
         assert Path("sub/mine.toml").read_text().startswith('model_file = "../MODEL.json"\n')
         scene = load_scene("sub/mine.toml")
-        assert scene.model == load_scene("wood_on_foam", model=MODEL).model.model_copy(
+        assert scene.model == load_scene("wood_on_foam", model=str(MODEL)).model.model_copy(
             update={"file": "../MODEL.json"}
         )
 
