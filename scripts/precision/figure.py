@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.text import Annotation
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-from matplotlib.transforms import BboxBase
+from matplotlib.transforms import Bbox, BboxBase
 from PIL import Image
 
 from precision.cases import SOLVED, Case
@@ -26,8 +26,12 @@ TINY_PT = 6.5
 SMALL_DPI = 120
 EXACT = "exact hold"  # what every solver's curve has anyway
 NAME_HEIGHT = 6.0  # what a name takes up on the logarithmic axis, as a factor
-# Offsets of a point's name from the point, in points; the first one at which it covers no other name is taken.
-NAME_PLACES_PT = ((6, 3), (6, -6), (6, 10), (6, -13), (-6, 3), (-6, -6), (-6, 10), (6, 17), (6, -20))
+# Offsets of a point's name from the point, in points; the first one that covers no other name and no point is taken.
+NAME_PLACES_PT = (
+    *((6, 0), (6, 3), (6, -4), (-6, 0), (-6, 3), (-6, -4), (6, 8), (6, -8), (-6, 8), (-6, -8)),
+    *((6, 13), (6, -13), (-6, 13), (-6, -13), (6, 18), (6, -18), (-6, 18), (-6, -18)),
+)
+MARKER_PT = 2.5  # half the width of a point's marker
 # Okabe and Ito's colours; a method keeps its look in every panel.
 LOOKS: dict[str, dict[str, Any]] = {
     "casadi-piqp": {"color": "#0072B2", "marker": "o"},
@@ -103,8 +107,12 @@ def _points(axes: Axes, rows: Sequence[Row], value: str, floor: float) -> list[A
 
 
 def _move_apart(names: Sequence[Annotation]) -> None:
-    """Place the names of one panel, in a figure that is laid out, so that none covers another."""
+    """Place the names of one panel, in a figure that is laid out, so that none covers another or a named point."""
     taken = list[BboxBase]()
+    for name in names:
+        x, y = name.axes.transData.transform(name.xy)
+        half = MARKER_PT * name.get_figure().dpi / 72
+        taken.append(Bbox.from_extents(x - half, y - half, x + half, y + half))
     for name in names:
         for place in NAME_PLACES_PT:
             name.xyann = place

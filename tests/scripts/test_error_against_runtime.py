@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from importlib import metadata
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -333,3 +334,28 @@ class TestCommand:
         names = {text.get_text(): text.get_window_extent() for text in lower.texts}
         assert names.keys() == {"clipped optimum", "seed inversion"}
         assert not names["clipped optimum"].overlaps(names["seed inversion"])
+
+    @pytest.mark.parametrize(
+        "times_ms", [(0.9, 1.0, 1.2, 2.5), (1.0, 1.0, 1.0, 1.0)], ids=["apart", "above each other"]
+    )
+    def test_the_names_of_close_points_cover_neither_each_other_nor_a_point(
+        self, short_case: Any, rows_of: Any, times_ms: tuple[float, ...]
+    ) -> None:
+        """Servo rates whose errors lie within a factor of three of each other, as those of `hot_coil`."""
+        (own,) = rows_of(methods.baselines()[0])
+        rates = [
+            replace(
+                own,
+                method=f"{rate:g} kHz",
+                kind=methods.Kind.PERIOD.value,
+                solve_ms=time_ms,
+                tap_error_excess=1e-3 / 3**j,
+            )
+            for j, (rate, time_ms) in enumerate(zip((2.5, 5, 10, 20), times_ms, strict=True))
+        ]
+        lower = work_precision([short_case], rates).axes[1]
+        boxes = [text.get_window_extent() for text in lower.texts]
+        assert len(boxes) == 4
+        assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+        points = lower.transData.transform([text.xy for text in lower.texts])
+        assert not any(box.contains(*point) for box in boxes for point in points)
