@@ -336,26 +336,23 @@ class TestCommand:
         assert not names["clipped optimum"].overlaps(names["seed inversion"])
 
     @pytest.mark.parametrize(
-        "times_ms", [(0.9, 1.0, 1.2, 2.5), (1.0, 1.0, 1.0, 1.0)], ids=["apart", "above each other"]
+        ("times_ms", "errors"),
+        [
+            ((1.0, 2.5, 6.0, 15.0, 40.0, 100.0), (1e-3,) * 6),
+            ((1.0,) * 6, (1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5)),
+        ],
+        ids=["in a row", "above each other"],
     )
     def test_the_names_of_close_points_cover_neither_each_other_nor_a_point(
-        self, short_case: Any, rows_of: Any, times_ms: tuple[float, ...]
+        self, short_case: Any, rows_of: Any, times_ms: tuple[float, ...], errors: tuple[float, ...]
     ) -> None:
-        """Servo rates whose errors lie within a factor of three of each other, as those of `hot_coil`."""
-        (own,) = rows_of(methods.baselines()[0])
-        rates = [
-            replace(
-                own,
-                method=f"{rate:g} kHz",
-                kind=methods.Kind.PERIOD.value,
-                solve_ms=time_ms,
-                tap_error_excess=1e-3 / 3**j,
-            )
-            for j, (rate, time_ms) in enumerate(zip((2.5, 5, 10, 20), times_ms, strict=True))
-        ]
-        lower = work_precision([short_case], rates).axes[1]
+        baselines, period = rows_of(*methods.baselines()), methods.Kind.PERIOD.value
+        rates = [replace(baselines[0], method=f"{rate:g} kHz", kind=period) for rate in (2.5, 5, 10, 20)]
+        given = zip([*baselines, *rates], times_ms, errors, strict=True)
+        shown = [replace(row, solve_ms=time_ms, tap_error_excess=error) for row, time_ms, error in given]
+        lower = work_precision([short_case] * 4, shown).axes[4]
         boxes = [text.get_window_extent() for text in lower.texts]
-        assert len(boxes) == 4
+        assert len(boxes) == 6
         assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
         points = lower.transData.transform([text.xy for text in lower.texts])
         assert not any(box.contains(*point) for box in boxes for point in points)
