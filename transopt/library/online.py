@@ -208,7 +208,7 @@ class Online:
             the library's is used, lowered to the winding's if that is colder.
         limits : values in place of the library's own, by the keys of a scene's `limits`, `command_A` for the
             amplifier's range and `temperature_C` for the winding. Without a certified optimum the blend is then
-            played only if it keeps these limits; otherwise nothing.
+            played only if it keeps these limits; otherwise nothing. Nothing is played on a winding above its limit.
 
         Raises
         ------
@@ -252,7 +252,7 @@ class Online:
         found = remark if problem is None else self._optimum(problem)
         if isinstance(found, str):
             wave = self._library.blend(place)
-            if limits and problem is None:  # the coil is too hot at the start
+            if problem is None:  # the coil is too hot at the start
                 wave = _silent(wave)
             elif limits and problem is not None and not inside(problem, wave.command):
                 wave = _silent(wave)
