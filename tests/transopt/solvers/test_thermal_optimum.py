@@ -25,7 +25,7 @@ from transopt.problem.limits.temperature import temperature_limit
 from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import certify, relaxed_bound
+from transopt.proof.certify import certify, kink_gap, relaxed_bound
 from transopt.proof.effect import Effect, inside
 from transopt.recordings.recording import Recording
 from transopt.references.reference import Reference
@@ -120,6 +120,22 @@ class TestOptimum:
         for wrong in (1.5 * mu, 0.5 * mu, np.roll(mu, 100), -mu, np.zeros_like(mu)):
             weaker = relaxed_bound(effect, answer.multipliers.with_pair("temperature", np.zeros_like(mu), wrong))
             assert weaker < bound - 1e-3 * optimum_of_relaxed
+
+    def test_a_slope_beside_the_sign_of_the_mean_current_counts_in_the_gap(
+        self, tight: dict[float, tuple[TransientProblem, Solution]], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """The tangent of 2 ripple |mean i| with slope zero lies below it by all of it."""
+        problem, answer = tight[0.02]
+        effect, heating = Effect(problem, answer.command), problem.thermal.model.heating
+        by_heating = effect.by_heating(answer.multipliers)
+        mean = heating.mean_current(effect.motion.plant_input, answer.command)
+        whole = 2 * heating.ripple_A * float(np.abs(by_heating) @ np.abs(mean))
+        flat = replace(answer.multipliers, slope=np.zeros_like(answer.multipliers.slope))
+        assert kink_gap(effect, flat, by_heating) == pytest.approx(whole)
+        assert kink_gap(effect, answer.multipliers, by_heating) < 1e-3 * whole
+        own = certify(problem, answer.command, answer.multipliers).duality_gap
+        monkeypatch.setattr("transopt.proof.certify.kink_gap", lambda *_: 0.5)
+        assert certify(problem, answer.command, answer.multipliers).duality_gap == pytest.approx(own + 0.5, abs=1e-6)
 
     def test_no_feasible_command_falls_below_the_bound(
         self, tight: dict[float, tuple[TransientProblem, Solution]]
