@@ -80,6 +80,10 @@ def test_a_proof_holds_under_further_limits_as_far_as_they_are_met(
     assert found.is_stationary == again.is_stationary
     assert found.is_stationary == (found.excess <= 1)
     assert (found.violation("K") > 0) == (headroom_K < 1)
+    # What the command leaves of the known limits stays in the proof.
+    left = under_further_limits(replace(known, violations={"A": 0.5, "K": 9.0}, excess=1e9), effect, small)
+    assert (left.violation("A"), left.violation("K"), left.excess) == (0.5, 9.0, 1e9)
+    assert not left.is_stationary
 
 
 def test_tap_errors_side_by_side_are_those_of_each_tap(make_problem: ProblemMaker) -> None:
