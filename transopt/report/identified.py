@@ -151,9 +151,9 @@ def _outside(scene: Scene, model: IdentifiedModel) -> list[str]:
         return []
     return [
         "",
-        f"Outside the recorded grips, {recorded[0]:.3g} to {recorded[-1]:.3g} N, but within the tenth that is allowed: "
-        f"{', '.join(beyond)} N. The model is {'extended' if isinstance(model.moving, FittedPart) else 'held'} "
-        "there.",
+        f"Outside the recorded grips, {recorded[0]:.3g} to {recorded[-1]:.3g} N, but within the tenth that is "
+        f"allowed: {', '.join(beyond)} N. "
+        f"The model is {'extended' if isinstance(model.moving, FittedPart) else 'held'} there.",
     ]
 
 

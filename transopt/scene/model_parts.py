@@ -107,8 +107,8 @@ def check_grip(grips_N: list[float], grip_N: float) -> None:
     lowest, highest = held[0], held[-1]
     if not lowest * (1 - OUTSIDE) <= grip_N * (1 + 1e-12) or not grip_N <= highest * (1 + OUTSIDE) * (1 + 1e-12):
         raise InputError(
-            f"outside the recorded grips of the model file, {lowest:.3g} to {highest:.3g} N (and {OUTSIDE:.0%} beyond): "
-            "record there and identify again, or keep grid.grips_N (and robust.grip_spread) inside"
+            f"outside the recorded grips of the model file, {lowest:.3g} to {highest:.3g} N (and {OUTSIDE:.0%} "
+            "beyond): record there and identify again, or keep grid.grips_N (and robust.grip_spread) inside"
         )
 
 
