@@ -5,9 +5,10 @@ itself, r - a_free. a_free, integrated twice from the incoming speed, gives the 
 the stylus without the motor. All courses are sampled at the switching instants of the problem's grid.
 """
 
+import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -27,13 +28,14 @@ Free = Callable[[float, float, float], Callable[[FloatArray], FloatArray]]
 ALIGNMENT_S = 1e-3  # largest shift of repeats against each other
 SETTLING_S = 20e-3  # the filters start this long before contact
 
-# Fields of a reference that are courses over time; all are blended by the same rule.
+# Fields of a reference that are courses over time; all are blended by the same rule. Those of one quantity follow each
+# other in time.
 COURSES = (
-    "recorded_m_s2",
     "recorded_before_m_s2",
+    "recorded_m_s2",
     "recorded_after_m_s2",
-    "free_m_s2",
     "free_before_m_s2",
+    "free_m_s2",
     "free_after_m_s2",
     "nominal_position_m",
     "nominal_velocity_m_s",
@@ -103,28 +105,34 @@ class Reference:
         """(K,) all its courses concatenated, in the form that `with_courses` takes."""
         return np.concatenate([getattr(self, name).ravel() for name in COURSES])
 
+    @cached_property
+    def within_stacked(self) -> dict[str, tuple[slice, tuple[int, ...]]]:
+        """Name in `COURSES` -> its part of `stacked`, and its shape."""
+        shapes = [getattr(self, name).shape for name in COURSES]
+        ends = list(itertools.accumulate(map(math.prod, shapes), initial=0))
+        parts = [(slice(*of), shape) for of, shape in zip(itertools.pairwise(ends), shapes, strict=True)]
+        return dict(zip(COURSES, parts, strict=True))
+
     def with_courses(self, stacked: FloatArray, **others: Any) -> "Reference":
-        """A copy with courses from one array (K,), in the order of `stacked`, and other values of fields."""
-        shapes = {name: getattr(self, name).shape for name in COURSES}
-        ends = np.cumsum([math.prod(shape) for shape in shapes.values()]).tolist()
-        parts: dict[str, Any] = {
-            name: stacked[i:j].reshape(shape)
-            for (name, shape), i, j in zip(shapes.items(), [0, *ends], ends, strict=False)
-        }
-        found = replace(self, **parts, **others)
-        vars(found)["stacked"] = stacked
+        """A copy whose courses are parts of one array (K,), in the order of `stacked`, and with other fields."""
+        courses = {name: stacked[part].reshape(shape) for name, (part, shape) in self.within_stacked.items()}
+        found = object.__new__(type(self))
+        vars(found).update({**vars(self), **courses, **others, "stacked": stacked})
         return found
 
     @cached_property
     def target(self) -> Target:
         """Target of the device at this speed: r - a_free and a_free itself."""
-        recorded = self.recorded_m_s2, self.recorded_after_m_s2, self.recorded_before_m_s2
-        free = self.free_m_s2, self.free_after_m_s2, self.free_before_m_s2
-        if recorded[0].ndim > free[0].ndim:  # a_free is along the normal only
-            now, after, before = (along_normal(each, len(recorded[0])) for each in free)
-            free = now, after, before
-        window, tail, lost = (of - by for of, by in zip(recorded, free, strict=True))
-        return Target(window, tail, lost, *free)
+        lost, stages = self.recorded_before_m_s2.shape[-1], self.recorded_m_s2.shape[-1]
+        count = lost + stages + self.recorded_after_m_s2.shape[-1]
+        if self.recorded_m_s2.ndim == 1:
+            recorded, free = self.stacked[: 2 * count].reshape(2, count)
+        else:
+            recorded = np.concatenate([getattr(self, name) for name in COURSES[:3]], axis=-1)
+            free = np.concatenate([getattr(self, name) for name in COURSES[3:6]], axis=-1)
+        if recorded.ndim > free.ndim:  # a_free is along the normal only
+            free = along_normal(free, len(recorded))
+        return Target.of_whole(recorded - free, free, lost, stages)
 
     @property
     def said(self) -> str:

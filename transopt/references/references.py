@@ -5,9 +5,11 @@ grips that were not recorded are blended: linearly in grip, as commands are, and
 the recorded grips the nearest one is used. Taps that state no grip are used for every grip.
 """
 
+from bisect import bisect_left
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +21,7 @@ from transopt.plant.time_grid import TimeGrid
 from transopt.recordings.recording import Recording
 from transopt.recordings.settings import Recordings
 from transopt.recordings.tap import PreparedTap, check_usable, prepare_all
-from transopt.references.reference import COURSES, Free, Reference, TimeAxis, build_reference
+from transopt.references.reference import Free, Reference, TimeAxis, build_reference
 
 ALIKE = 0.05  # relative difference of grips that the hysteresis of a grip sensor cannot resolve
 ROUNDING = 1e-9  # relative difference up to which a grip or speed is a recorded one
@@ -43,18 +45,20 @@ class Cells:
     @classmethod
     def of(cls, made: Callable[[int, int], Reference], rows: int, grips: int) -> "Cells":
         """Copy references into common arrays, as `made` produces them for a row and a grip."""
-        courses: dict[str, FloatArray] = {}
+        first = made(0, 0)
+        stacked = np.empty((rows, grips, first.stacked.size))
 
         def moved(i: int, j: int) -> Reference:
             cell = made(i, j)
-            for name in COURSES:
-                part = getattr(cell, name)
-                if name not in courses:
-                    courses[name] = np.empty((rows, grips, *part.shape))
-                courses[name][i, j] = part
-            return replace(cell, **{name: course[i, j] for name, course in courses.items()})
+            stacked[i, j] = cell.stacked
+            return cell.with_courses(stacked[i, j])
 
-        return cls([[moved(i, j) for j in range(grips)] for i in range(rows)], courses)
+        cells = [[moved(i, j) for j in range(grips)] for i in range(rows)]
+        courses = {
+            name: stacked[..., part].reshape(rows, grips, *shape)
+            for name, (part, shape) in first.within_stacked.items()
+        }
+        return cls(cells, courses)
 
 
 @dataclass(frozen=True)
@@ -124,22 +128,20 @@ class References:
         ------
         InputError : the speed is outside the recorded range.
         """
-        speeds = np.asarray(self.speeds_m_s)
-        if not (speeds.size and speeds[0] <= speed_m_s <= speeds[-1]):
-            known = f"from {speeds[0]:g} to {speeds[-1]:g} m/s only" if speeds.size else "for no speed"
+        speeds = self.speeds_m_s
+        if not (speeds and speeds[0] <= speed_m_s <= speeds[-1]):
+            known = f"from {speeds[0]:g} to {speeds[-1]:g} m/s only" if speeds else "for no speed"
             raise InputError(f"speed {speed_m_s:g} m/s: references are known {known}: record taps at that speed")
-        nearest = float(speeds[np.argmin(np.abs(speeds - speed_m_s))])
+        nearest = _nearest(speeds, speed_m_s)
         if abs(nearest - speed_m_s) <= ROUNDING * nearest:
             return self._of_recorded(nearest, grip_N)
-        j = int(np.searchsorted(speeds, speed_m_s))
-        slow, fast = (self._of_recorded(float(v), grip_N) for v in speeds[j - 1 : j + 1])
+        j = bisect_left(speeds, speed_m_s)
+        slow, fast = (self._of_recorded(v, grip_N) for v in speeds[j - 1 : j + 1])
         w = (speed_m_s - slow.speed_m_s) / (fast.speed_m_s - slow.speed_m_s)
         scales = (speed_m_s / slow.speed_m_s, speed_m_s / fast.speed_m_s)
-        found = _blend(slow, fast, w, *scales)
         of = tuple(sorted({*slow.of_grips_N, *fast.of_grips_N}))
-        return replace(
-            found, speed_m_s=speed_m_s, between_m_s=(slow.speed_m_s, fast.speed_m_s), of_grips_N=of, grip_N=grip_N
-        )
+        between = (slow.speed_m_s, fast.speed_m_s)
+        return _blend(slow, fast, w, scales, speed_m_s=speed_m_s, between_m_s=between, of_grips_N=of, grip_N=grip_N)
 
     def of_grip(self, grip_N: float) -> "References":
         """References at the recorded speeds and one grip, of which `at` makes those of any number of speeds."""
@@ -148,16 +150,16 @@ class References:
     def _of_recorded(self, speed_m_s: float, grip_N: float) -> Reference:
         """The reference of a recorded speed at any grip."""
         row = self._rows[speed_m_s]
-        grips = np.array([cell.grip_N for cell in row])
-        nearest = int(np.argmin(np.abs(grips - grip_N)))
-        if abs(grips[nearest] - grip_N) <= ROUNDING * grip_N:
-            return row[nearest]
+        grips = [cell.grip_N for cell in row]
+        nearest = row[grips.index(_nearest(grips, grip_N))]
+        if abs(nearest.grip_N - grip_N) <= ROUNDING * grip_N:
+            return nearest
         if not grips[0] < grip_N < grips[-1]:
-            return replace(row[nearest], grip_N=grip_N)
-        j = int(np.searchsorted(grips, grip_N))
+            return replace(nearest, grip_N=grip_N)
+        j = bisect_left(grips, grip_N)
         low, high = row[j - 1], row[j]
         w = (grip_N - low.grip_N) / (high.grip_N - low.grip_N)
-        return replace(_blend(low, high, w), grip_N=grip_N, of_grips_N=(*low.of_grips_N, *high.of_grips_N))
+        return _blend(low, high, w, grip_N=grip_N, of_grips_N=(*low.of_grips_N, *high.of_grips_N))
 
     def remarks(self, grips_N: Sequence[float]) -> list[str]:
         """Parts of a design at these grips that rest on taps of other grips, one sentence each; `notes` included."""
@@ -193,8 +195,17 @@ def _within(grip_N: float, grips_N: Sequence[float]) -> bool:
     return min(grips_N) <= grip_N <= max(grips_N) or _among(grip_N, grips_N)
 
 
-def _blend(a: Reference, b: Reference, w: float, scale_a: float = 1.0, scale_b: float = 1.0) -> Reference:
-    """(1 - w) of one reference and w of another, each scaled to the blend's speed; the first one's grip is kept."""
+def _nearest(values: Sequence[float], value: float) -> float:
+    """The nearest of increasing values, the smaller of two that are equally near."""
+    above = bisect_left(values, value)
+    return min(values[max(above - 1, 0) : above + 1], key=lambda each: abs(each - value))
+
+
+def _blend(
+    a: Reference, b: Reference, w: float, scales: tuple[float, float] = (1.0, 1.0), **others: Any
+) -> Reference:
+    """(1 - w) of one reference and w of another, each scaled to the blend's speed, and `others` of its fields."""
+    scale_a, scale_b = scales
     return a.with_courses(
         (1 - w) * scale_a * a.stacked + w * scale_b * b.stacked,
         repeatability=float(np.maximum(a.repeatability, b.repeatability)),
@@ -202,6 +213,7 @@ def _blend(a: Reference, b: Reference, w: float, scale_a: float = 1.0, scale_b: 
         taps=a.taps + b.taps,
         factors=np.append(scale_a * a.factors, scale_b * b.factors),
         slow_part_known=a.slow_part_known and b.slow_part_known,
+        **others,
     )
 
 

@@ -55,6 +55,14 @@ class Target:
 
     __repr__ = brief
 
+    @classmethod
+    def of_whole(cls, whole: FloatArray, free: FloatArray, lost: int, stages: int) -> "Target":
+        """The target whose courses are parts of r - a_free and a_free, each (L + N + M,), with L `lost` samples."""
+        parts = (slice(lost, lost + stages), slice(lost + stages, None), slice(lost))
+        found = cls(*(course[..., part] for course in (whole, free) for part in parts))
+        vars(found).update(whole_m_s2=whole, free_m_s2=free)
+        return found
+
     @cached_property
     def whole_m_s2(self) -> FloatArray:
         """(L + N + M,) r - a_free from contact or tau_0, whichever is earlier, to the end of the tail."""
@@ -75,15 +83,11 @@ class Target:
         """The target along the normal alone, for which figures are computed."""
         if self.window_m_s2.ndim == 1:
             return self
-        free = self.lost, self.lost + self.window_m_s2.shape[-1]
-        return Target(
-            *(each[0] for each in (self.window_m_s2, self.after_m_s2, self.before_m_s2)),
-            *(np.split(self.free_m_s2[0], free)[part] for part in (1, 2, 0)),
-        )
+        return Target.of_whole(self.whole_m_s2[0], self.free_m_s2[0], self.lost, self.window_m_s2.shape[-1])
 
     def along_normal(self, directions: int) -> "Target":
         """The target for p directions: this one along the normal, the first direction, zero along the others."""
-        if self.window_m_s2.ndim > 1:
+        if directions == 1 or self.window_m_s2.ndim > 1:
             return self
         courses = (self.window_m_s2, self.after_m_s2, self.before_m_s2)
         frees = (self.free_window_m_s2, self.free_after_m_s2, self.free_before_m_s2)
