@@ -224,9 +224,9 @@ def build_library(
     some = max(SOLVED_TOGETHER // len(rows), 1)
     for first in range(0, len(devices), some):
         posed = [
-            context.posed_as(row[number], *devices[number])
+            each
             for number in range(first, min(first + some, len(devices)))
-            for row in context.cells.rows
+            for each in context.posed_together([row[number] for row in context.cells.rows], *devices[number])
         ]
         designed = design(posed, options=options)
         for column in (designed[i : i + len(rows)] for i in range(0, len(designed), len(rows))):

@@ -212,20 +212,27 @@ class Context:
 
     def posed_as(self, reference: Reference, grip_N: float, place: Spot = None) -> Posed:
         """Pose the problem of tracking a reference with the device of one grip."""
-        scene, device = self.scene, self._device(grip_N, place)
-        problem = self.posing.problem(wanted_of(reference), *device)
-        return Posed(
-            problem=problem,
-            speed_m_s=reference.speed_m_s,
-            grip_N=grip_N,
-            target=reference.name,
-            objective=scene.weights.objective,
-            coil=self._coil,
-            steady_input=scene.limits.steady_input,
-            repeatability=reference.repeatability,
-            plant=self.plant,
-            place=place,
-        )
+        return self.posed_together([reference], grip_N, place)[0]
+
+    def posed_together(self, references: Sequence[Reference], grip_N: float, place: Spot = None) -> list[Posed]:
+        """Pose the problems of tracking references with the device of one grip, which share what they can."""
+        scene = self.scene
+        problems = self.posing.problems(list(map(wanted_of, references)), *self._device(grip_N, place))
+        return [
+            Posed(
+                problem=problem,
+                speed_m_s=reference.speed_m_s,
+                grip_N=grip_N,
+                target=reference.name,
+                objective=scene.weights.objective,
+                coil=self._coil,
+                steady_input=scene.limits.steady_input,
+                repeatability=reference.repeatability,
+                plant=self.plant,
+                place=place,
+            )
+            for reference, problem in zip(references, problems, strict=True)
+        ]
 
 
 def wanted_of(reference: Reference) -> Wanted:

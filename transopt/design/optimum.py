@@ -11,7 +11,7 @@ from transopt.design.explain import infeasibility, unavoidable
 from transopt.design.within import finer, said_of_instants
 from transopt.plant.wall import reference_course
 from transopt.problem.answer import Certificate, Solution, Status
-from transopt.problem.leave_out import leave_out
+from transopt.problem.leave_out import leave_out, leave_out_all
 from transopt.problem.limits.limit import tolerated
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem, tap_errors
@@ -292,7 +292,7 @@ class _Attempt:
 
 def _without_limits(problems: Sequence[TransientProblem]) -> list[_Attempt]:
     """The optima without limits, certified where they keep all limits."""
-    reduced = [leave_out(problem) for problem in problems]
+    reduced = leave_out_all(problems)
     free = unlimited.solve([each.problem for each in reduced])
     done = effects([(problem, answer.command) for problem, answer in zip(problems, free, strict=True)])
     peaks = [float(np.abs(effect.motion.plant_input).max()) for effect in done]

@@ -82,11 +82,10 @@ def _again(
     """Solve the entries for their corrected targets, with unchanged limits and prices."""
     found = {}
     for ig in sorted({ig for _, ig in corrections_m_s2}):
-        devices, speeds = library.devices(ig), [iv for iv, g in sorted(corrections_m_s2) if g == ig]
-        posed = []
-        for iv in speeds:
+        speeds, posed = [iv for iv, g in sorted(corrections_m_s2) if g == ig], []
+        for iv, before in zip(speeds, library.problems(ig, speeds), strict=True):
             uncorrected = library.uncorrected(iv, ig)
-            problem = replace(library.problem(iv, ig, devices), target=uncorrected.moved(corrections_m_s2[iv, ig]))
+            problem = before.aiming_at(uncorrected.moved(corrections_m_s2[iv, ig]))
             grip, steady = float(library.grips_N[ig]), library.steady_input
             posed.append(
                 Posed(problem, grip_N=grip, coil=library.coil(), steady_input=steady, uncorrected=uncorrected)
@@ -110,7 +109,7 @@ def _with(
         _put(arrays, (iv, ig), found | _multipliers(entry, further) | {"correction_m_s2": course})
         left_out[iv][ig] = entry.left_out
     shared = shared_left_out(left_out)
-    problems = [library.problem(iv, 0) for iv in range(nv)]
+    problems = library.problems(0, range(nv))
     own = derived(library.posing(), problems, warm=heat_is_in(shared))
     multipliers = {name: arrays.pop(name) for name in (*MULTIPLIERS, *further)}
     meta = {**library.meta, "derived": own, "left_out": shared}

@@ -176,9 +176,9 @@ def answers_of(library: Library, ig: int, prove: Prove, unlimited: Free) -> list
     prove : computes the certificates of commands and their multipliers in linear problems.
     unlimited : computes each problem's optimum (N,) without limits; None where it cannot.
     """
-    devices, rows = library.devices(ig), range(library.speeds_m_s.size)
+    rows = range(library.speeds_m_s.size)
     plant = library.scene().nonlinear_plant() if library.nonlinear else None
-    problems = [library.problem(iv, ig, devices) for iv in rows]
+    problems = library.problems(ig, rows)
     filter_together([problem.tracking for problem in problems])
     frees = _free_commands(problems, unlimited)
     if plant is not None:

@@ -183,27 +183,32 @@ class Posed(Held):
             found.append(self.posing().stage(plant))
         return tuple(found)
 
-    def devices(self, ig: int) -> tuple[StageModel, ...]:
-        """The device of one grip, then those of the spread."""
-        return (self.stage(ig), *self.spread(ig))
+    def problem(self, iv: int, ig: int) -> TransientProblem:
+        """The problem that entry (iv, ig) claims to solve, as one of `problems`."""
+        return self.problems(ig, [iv])[0]
 
-    def problem(self, iv: int, ig: int, devices: Sequence[StageModel] | None = None) -> TransientProblem:
-        """The problem that entry (iv, ig) claims to solve; the entry's own motion determines where a wall presses.
+    def problems(self, ig: int, rows: Sequence[int]) -> list[TransientProblem]:
+        """The problems that entries (iv, ig) claim to solve; an entry's own motion determines where a wall presses.
 
-        For a nonlinear plant this is the problem of the plant at rest; `transopt.library.nonlinear.nonlinear_problem`
-        puts its limits and objective on the nonlinear plant.
+        For a nonlinear plant they are those of the plant at rest; `transopt.library.nonlinear.nonlinear_problem`
+        puts their limits and objective on the nonlinear plant.
 
         Parameters
         ----------
-        devices : `devices` of the grip, if the caller reads several of its entries, which then share all that is
-            computed from them.
+        rows : iv of the entries, which share all that is computed from their device.
         """
-        posing, wanted, correction = self.posing(), self.wanted_of(iv, ig), self.correction_m_s2[iv, ig]
-        if correction.any():
-            wanted = replace(wanted, target=wanted.target.moved(correction))
-        stage, *spread = self.devices(ig) if devices is None else devices
-        problem = posing.problem(wanted, stage, tuple(spread))
-        prices = float(self.intensity[iv, ig]), float(self.heat_price[iv, ig])
+        stage, *spread = self.stage(ig), *self.spread(ig)
+        wanted = [self._corrected(iv, ig) for iv in rows]
+        posed = self.posing().problems(wanted, stage, tuple(spread))
+        return [self._claimed(problem, iv, ig) for problem, iv in zip(posed, rows, strict=True)]
+
+    def _corrected(self, iv: int, ig: int) -> Wanted:
+        wanted, correction = self.wanted_of(iv, ig), self.correction_m_s2[iv, ig]
+        return replace(wanted, target=wanted.target.moved(correction)) if correction.any() else wanted
+
+    def _claimed(self, problem: TransientProblem, iv: int, ig: int) -> TransientProblem:
+        """The problem of a tap with the prices, shares, instants and ticks of the wall that its entry states."""
+        posing, prices = self.posing(), (float(self.intensity[iv, ig]), float(self.heat_price[iv, ig]))
         if posing.worst or prices != (problem.intensity, problem.heat_price):
             shares = self._shares(iv, ig) if posing.worst else problem.shares
             problem = replace(problem, intensity=prices[0], heat_price=prices[1], shares=shares)

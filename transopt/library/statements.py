@@ -38,7 +38,7 @@ def misstatements(library: Library) -> Iterator[str]:
 def _against_scene(library: Library) -> Iterator[str]:
     """Differences between the file's problem and its scene: limits, weights, time axis, plants."""
     scene, at_rest = library.scene(), library.scene().at_rest()
-    problems = [library.problem(iv, 0) for iv in range(library.speeds_m_s.size)]
+    problems = library.problems(0, range(library.speeds_m_s.size))
     warm = heat_is_in(library.meta["left_out"])
     own = derived(library.posing(), problems, warm=warm)
     yield from _different("derived", library.meta["derived"], own)

@@ -1,9 +1,10 @@
 """Removal of the limits of a problem that no admissible command can reach."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from transopt.plant.discretise import StageModel, discretise
-from transopt.problem.problem import TransientProblem
+from transopt.problem.problem import BESIDES_THE_TARGET, TransientProblem
 
 
 @dataclass(frozen=True)
@@ -17,6 +18,19 @@ class Reduced:
 
     problem: TransientProblem
     left_out: dict[str, str]
+
+
+def leave_out_all(problems: Sequence[TransientProblem]) -> list[Reduced]:
+    """`leave_out` of several problems, once for those under the same limits without a wall."""
+    known, found = dict[tuple[int, ...], Reduced](), list[Reduced]()
+    for problem in problems:
+        alike = known.get(key := tuple(map(id, BESIDES_THE_TARGET(problem))))
+        if alike is None or problem.wall is not None:
+            found.append(leave_out(problem))
+            known[key] = found[-1]
+        else:
+            found.append(Reduced(alike.problem.aiming_as(problem), alike.left_out))
+    return found
 
 
 def leave_out(problem: TransientProblem) -> Reduced:

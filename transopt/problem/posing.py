@@ -1,7 +1,7 @@
 """Poses the optimal-control problem of a tap from the limits, weights and time axis of a scene or a library."""
 
 import operator
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -167,6 +167,30 @@ class Posing:
             )
         return tuple(found)
 
+    def problems(
+        self,
+        wanted: Sequence[Wanted],
+        stage: StageModel,
+        spread: tuple[StageModel, ...] = (),
+        coil: CoilModel | None = None,
+    ) -> list[TransientProblem]:
+        """The problems of several taps with one device, as `problem` poses each of them.
+
+        Problems that differ only in the target share everything else: without a wall, those under limits that hold
+        no course of the nominal motion.
+        """
+        alike, found = dict[object, TransientProblem](), list[TransientProblem]()
+        for each in wanted:
+            known = alike.get(key := (each.ends_s, each.slow_part_known))
+            if known is None:
+                posed = self.problem(each, stage, spread, coil)
+                if self.wall is None and posed.limits.are_hashable:
+                    alike[key] = posed
+            else:
+                posed = known.aiming_at(each.target.along_normal(stage.tracked))
+            found.append(posed)
+        return found
+
     def problem(
         self,
         wanted: Wanted,
@@ -207,7 +231,7 @@ class Posing:
         return TransientProblem(
             stage=stage,
             grid=self.grid,
-            target=wanted.target if p == 1 else wanted.target.along_normal(p),
+            target=wanted.target.along_normal(p),
             shares=None if p == 1 else np.array([1.0, *[self.tangential] * (p - 1)]),
             terms=self.terms(wanted),
             rho=self.rho,

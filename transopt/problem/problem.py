@@ -1,5 +1,6 @@
 """The optimal-control problem of one library entry: terms of the objective, limits, hand-over."""
 
+import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -87,21 +88,13 @@ class TransientProblem:
     __repr__ = brief
 
     def __post_init__(self) -> None:
-        N, M = self.grid.stages, self.grid.after_stages
-        for name, array, size in (
-            ("reference_m_s2", self.target.window_m_s2, N),
-            ("reference_after_m_s2", self.target.after_m_s2, M),
-            ("reference_before_m_s2", self.target.before_m_s2, self.target.lost),
-            *((f"weights of the {term.name} term", term.weights, N) for term in self.terms),
-        ):
-            of_direction = self.directions if name.startswith("reference") else ()
-            if array.shape != (*of_direction, size):
-                raise InputError(f"{name} has shape {array.shape}, expected {(*of_direction, size)}")
-        if self.target.flaw:
-            raise InputError(self.target.flaw)
+        N = self.grid.stages
+        self._check_target()
         if not self.terms:
             raise InputError("weights: no error term: give weights.plain or weights.rapid")
         for term in self.terms:
+            if term.weights.shape != (N,):
+                raise InputError(f"weights of the {term.name} term has shape {term.weights.shape}, expected {(N,)}")
             if not term.is_sound:
                 raise InputError(f"weights of the {term.name} term: must be >= 0 and finite")
         for name, value in (("rho", self.rho), ("heat_price", self.heat_price)):
@@ -130,6 +123,24 @@ class TransientProblem:
             )
         if self.wall is not None and self.stage.Cp is None:
             raise InputError("a wall needs the encoder position: discretise the device with its position")
+
+    def _check_target(self) -> None:
+        """Check the target's shapes and numbers.
+
+        Raises
+        ------
+        InputError : they do not fit the time axis and the directions, or are not finite.
+        """
+        target = self.target
+        for name, array, size in (
+            ("reference_m_s2", target.window_m_s2, self.grid.stages),
+            ("reference_after_m_s2", target.after_m_s2, self.grid.after_stages),
+            ("reference_before_m_s2", target.before_m_s2, target.lost),
+        ):
+            if array.shape != (*self.directions, size):
+                raise InputError(f"{name} has shape {array.shape}, expected {(*self.directions, size)}")
+        if target.flaw:
+            raise InputError(target.flaw)
 
     def _check_several(self) -> None:
         """Check a plant with several motors or directions.
@@ -182,7 +193,7 @@ class TransientProblem:
         """The problem without the limits of these names."""
         if not any(name in self.limits for name in names):
             return self
-        return self._under(self.limits.without(*names))
+        return self.under(self.limits.without(*names))
 
     def alone(self) -> "TransientProblem":
         """The problem for its own device alone, without the spread and without a price on intensity."""
@@ -190,13 +201,31 @@ class TransientProblem:
 
     def replaced(self, limit: Limit) -> "TransientProblem":
         """The problem with the limit of the same name replaced by this one."""
-        return self._under(self.limits.replaced(limit))
+        return self.under(self.limits.replaced(limit))
 
-    def _under(self, limits: Limits) -> "TransientProblem":
+    def under(self, limits: Limits) -> "TransientProblem":
         """The problem under other limits; what does not depend on limits is neither checked nor computed again."""
         found = object.__new__(type(self))
         vars(found).update({name: value for name, value in vars(self).items() if name in UNDER_ANY_LIMITS})
         vars(found)["limits"] = limits
+        return found
+
+    def aiming_at(self, target: Target) -> "TransientProblem":
+        """The problem with another target; what does not depend on it is neither checked nor computed again."""
+        found = self._with({"target": target})
+        found._check_target()
+        return found
+
+    def aiming_as(self, other: "TransientProblem") -> "TransientProblem":
+        """The problem with the target of another one, and with all that is known of that target."""
+        return self._with({name: value for name, value in vars(other).items() if name in OF_THE_TARGET})
+
+    def _with(self, of_the_target: Mapping[str, object]) -> "TransientProblem":
+        for name in FOR_ANY_TARGET:
+            getattr(self, name)
+        found = object.__new__(type(self))
+        vars(found).update({name: value for name, value in vars(self).items() if name not in OF_THE_TARGET})
+        vars(found).update(of_the_target)
         return found
 
     def within(self, parts: Mapping[str, int]) -> "TransientProblem":
@@ -214,7 +243,7 @@ class TransientProblem:
         if limits is self.limits:
             return self
         stage, *spread = (device.within(instants) for device in self.devices)
-        return replace(self._under(limits), stage=stage, spread=tuple(spread))
+        return replace(self.under(limits), stage=stage, spread=tuple(spread))
 
     @cached_property
     def parts(self) -> Mapping[str, int]:
@@ -387,3 +416,10 @@ def tap_errors(problems: Sequence[TransientProblem], accelerations_m_s2: Sequenc
 UNDER_ANY_LIMITS = {field.name for field in fields(TransientProblem)} | {
     *("tracking", "shared", "feedback", "reference_is_zero", "yardstick", "rest")
 }
+# The field and the cached properties that depend on the target, and all other cached properties.
+OF_THE_TARGET = {"target", "tracking", "reference_is_zero"}
+FOR_ANY_TARGET = {name for name, part in vars(TransientProblem).items() if isinstance(part, cached_property)}
+FOR_ANY_TARGET -= OF_THE_TARGET
+BESIDES_THE_TARGET = operator.attrgetter(
+    *(field.name for field in fields(TransientProblem) if field.name != "target")
+)

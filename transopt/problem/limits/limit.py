@@ -159,7 +159,7 @@ class Limit(ABC):
 
     @cached_property
     def is_hashable(self) -> bool:
-        """Whether it contains numbers only, no arrays, so that equal limits can be found."""
+        """Whether equal ones can be found; one that holds a course of the tap's nominal motion cannot be hashed."""
         try:
             hash(self)
         except TypeError:

@@ -32,9 +32,9 @@ ROUNDING = 1e-6  # relative rounding of the steady state where the tap period is
 BETWEEN_INSTANTS_K = 1e-3  # tolerance of the replay: the problem states the limit at the switching instants only
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class TemperatureLimit(Limit):
-    """The temperature limit of one entry.
+    """The temperature limit of one entry; the same object for entries that share it (`temperature_limit`).
 
     Attributes
     ----------
