@@ -28,8 +28,8 @@ Free = Callable[[float, float, float], Callable[[FloatArray], FloatArray]]
 ALIGNMENT_S = 1e-3  # largest shift of repeats against each other
 SETTLING_S = 20e-3  # the filters start this long before contact
 
-# Fields of a reference that are courses over time; all are blended by the same rule. Those of one quantity follow each
-# other in time.
+# Fields of a reference that are courses over time; all are blended by the same rule. Those of one quantity follow
+# each other in time.
 COURSES = (
     "recorded_before_m_s2",
     "recorded_m_s2",
