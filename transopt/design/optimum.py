@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
@@ -256,7 +257,7 @@ class _Attempt:
     floor: float
     peak: float
 
-    @property
+    @cached_property
     def inside(self) -> str:
         """Why no limit is needed, in words; empty where one is."""
         problem, proof = self.problem, self.proof

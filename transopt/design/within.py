@@ -25,6 +25,8 @@ MOST_ROWS = 96  # rows of all limits together; leaves the project's own solver s
 def finer(designed: Designed) -> dict[str, int]:
     """Limits to be stated at more instants -> number of parts of a servo period; empty if none is needed."""
     problem, solution = designed.problem, designed.solution
+    if not problem.parts:
+        return {}
     if not designed.is_proven:
         return _finer(problem, {limit.name: FINE * limit.limit for limit in _of_outputs(problem)}, FINE_PARTS)
     wanted = {

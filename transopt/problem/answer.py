@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -96,7 +96,11 @@ class Multipliers:
     @property
     def largest(self) -> float:
         """The largest multiplier of a limit, whatever its unit."""
-        return max((float(side.max()) for pair in self.pairs.values() for side in pair), default=0.0)
+        return max(map(self.most, self.pairs), default=0.0)
+
+    def most(self, row: str) -> float:
+        """The largest multiplier of a row."""
+        return max((float(side.max()) for side in self.pairs.get(row, ())), default=0.0)
 
     def clipped(self) -> "Multipliers":
         """Return a copy with every negative multiplier of a limit set to zero and the slope clipped to [-1, 1]."""
@@ -202,7 +206,7 @@ class Certificate:
         """The largest number among the violations, whatever their units."""
         return max(self.violations.values(), default=0.0)
 
-    @property
+    @cached_property
     def is_stationary(self) -> bool:
         """Whether it is feasible with a closed duality gap: a local optimum where the temperature binds."""
         return self.finite and self._inside and self.relative_gap <= self.GAP_TOLERANCE

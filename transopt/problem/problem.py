@@ -257,7 +257,7 @@ class TransientProblem:
     @property
     def nonlinear(self) -> tuple[str, ...]:
         """Names of the limits that are not linear, which a quadratic program cannot contain."""
-        return tuple(limit.name for limit in self.limits if not limit.linear)
+        return self.limits.nonlinear
 
     @cached_property
     def thermal(self) -> TemperatureLimit | None:

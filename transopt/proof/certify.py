@@ -306,13 +306,11 @@ def relaxed_bound(effect: Effect, multipliers: Multipliers) -> float:
 
 def spans_ms(problem: TransientProblem, active: NDArray[np.bool_]) -> str:
     """The time spans in which a limit is active, in milliseconds after contact."""
+    framed = np.concatenate([[False], active, [False]])
+    firsts, afters = np.flatnonzero(framed[1:] != framed[:-1]).reshape(-1, 2).T
     times_ms = problem.grid.switching_times_s * 1e3
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], active.astype(int), [0]])))
-    spans = [
-        f"{times_ms[first]:.2f}" + (f" to {times_ms[after - 1]:.2f}" if after - first > 1 else "")
-        for first, after in zip(edges[::2], edges[1::2], strict=True)
-    ]
-    return ", ".join(spans)
+    spans = zip(times_ms[firsts].tolist(), times_ms[afters - 1].tolist(), strict=True)
+    return ", ".join(f"{first:.2f}" + (f" to {last:.2f}" if last > first else "") for first, last in spans)
 
 
 def binding_limits(
@@ -326,19 +324,16 @@ def binding_limits(
     ----------
     effect : effect of this command in this problem, if it is known already.
     """
-    if multipliers.largest <= BINDING_MULTIPLIER:
-        return "none"
     rows: dict[str, NDArray[np.bool_]] = {}
-    for box in boxes_of(effect or Effect(problem, command), multipliers):
+    for box in boxes_of(effect or Effect(problem, command), multipliers, above=BINDING_MULTIPLIER):
         near = BINDING_SLACK * abs(box.limit.stated)
         for side, mu, bound in (("upper", box.by_upper, box.upper), ("lower", box.by_lower, box.lower)):
-            active = mu > BINDING_MULTIPLIER
+            active = (mu > BINDING_MULTIPLIER) & (np.abs(bound - box.value) < near)
             if not active.any():
                 continue
-            active &= np.abs(bound - box.value) < near
             two_sided = bool(np.isfinite(box.lower).any())
             label = f"{box.name} {box.limit.said(side, two_sided=two_sided)} {box.unit}".rstrip()
             label = f"{label} {box.condition}".rstrip()
             rows[label] = rows[label] | active if label in rows else active
-    found = sorted((int(np.argmax(active)), label) for label, active in rows.items() if active.any())
+    found = sorted((int(np.argmax(active)), label) for label, active in rows.items())
     return "; ".join(f"{label} at {spans_ms(problem, rows[label])} ms" for _, label in found) or "none"

@@ -203,14 +203,22 @@ def boxes(problem: TransientProblem, command: FloatArray, motion: Motion, multip
     return list(boxes_of(Effect(problem, command, motion), multipliers))
 
 
-def boxes_of(effect: Effect, multipliers: Multipliers, *, only: str | None = None) -> Iterator[Box]:
-    """Yield the rows of all limits, or of the limit of one name, with their values under a command's effect."""
+def boxes_of(
+    effect: Effect, multipliers: Multipliers, *, only: str | None = None, above: float = -np.inf
+) -> Iterator[Box]:
+    """Yield the rows of all limits with their values under a command's effect.
+
+    Parameters
+    ----------
+    only : name of the limit whose rows are wanted; None for all limits.
+    above : rows without a larger multiplier are left out.
+    """
     problem, m, N = effect.problem, multipliers, effect.problem.grid.stages
     for limit, row in problem.rows():
-        if only in (None, limit.name):
+        if only in (None, limit.name) and m.most(row.name) > above:
             yield Box(limit, effect.value(row), *row.bounds(N), m.lower(row.name), m.upper(row.name), row.condition)
     thermal = problem.thermal
-    if thermal is not None and only in (None, thermal.name):
+    if thermal is not None and only in (None, thermal.name) and m.most(TEMPERATURE) > above:
         sides = np.full(N, -np.inf), thermal.bounds_C
         yield Box(thermal, effect.winding_C, *sides, m.lower(TEMPERATURE), m.upper(TEMPERATURE))
 

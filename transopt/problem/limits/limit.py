@@ -85,7 +85,7 @@ class Setting:
         return float(asked[f"{driven_by.name}_{driven_by.unit}"])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Limit(ABC):
     """One limit of one entry's problem.
 
@@ -295,6 +295,11 @@ class Limits:
     def are_hashable(self) -> bool:
         """Whether each of them is, so that equal ones can be found."""
         return all(limit.is_hashable for limit in self.members)
+
+    @cached_property
+    def nonlinear(self) -> tuple[str, ...]:
+        """Names of those that are not linear."""
+        return tuple(limit.name for limit in self.members if not limit.linear)
 
     def get(self, name: str) -> Limit | None:
         return next((limit for limit in self.members if limit.name == name), None)
