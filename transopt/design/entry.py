@@ -387,7 +387,13 @@ VALUES: dict[str, Callable[[Entry], Any]] = {
 
 
 def not_asked_for(problem: TransientProblem, grip_N: float) -> dict[str, str]:
-    """Parts that the scene of a problem does not ask for, each with the reason."""
+    """Parts that the scene of a problem does not ask for, each with the reason; the entries of a grip share them."""
+    asked = grip_N, problem.wall is None, problem.heat_price
+    same = (problem.limits, problem.terms)
+    return problem.stage.kept(not_asked_for, same, asked, lambda: _not_asked_for(problem, grip_N))
+
+
+def _not_asked_for(problem: TransientProblem, grip_N: float) -> dict[str, str]:
     stage = problem.stage
     # A black-box model has no position output (Ce = 0); its idle states are not those of a position.
     idle = stage.idle_states if stage.plant.Ce.any() else 0

@@ -221,12 +221,16 @@ class TransientProblem:
         return self._with({name: value for name, value in vars(other).items() if name in OF_THE_TARGET})
 
     def _with(self, of_the_target: Mapping[str, object]) -> "TransientProblem":
-        for name in FOR_ANY_TARGET:
-            getattr(self, name)
         found = object.__new__(type(self))
-        vars(found).update({name: value for name, value in vars(self).items() if name not in OF_THE_TARGET})
+        vars(found).update(self._for_any_target)
         vars(found).update(of_the_target)
         return found
+
+    @cached_property
+    def _for_any_target(self) -> dict[str, object]:
+        """All fields and cached properties that do not depend on the target."""
+        names = {*FIELDS, *CACHED} - OF_THE_TARGET - {"_for_any_target"}
+        return {name: getattr(self, name) for name in names}
 
     def within(self, parts: Mapping[str, int]) -> "TransientProblem":
         """The problem with limits on outputs stated at the ends of parts of every servo period.
@@ -412,14 +416,9 @@ def tap_errors(problems: Sequence[TransientProblem], accelerations_m_s2: Sequenc
     return [found[i] for i in range(len(problems))]
 
 
-# Fields of a problem, and cached properties that do not depend on its limits.
-UNDER_ANY_LIMITS = {field.name for field in fields(TransientProblem)} | {
-    *("tracking", "shared", "feedback", "reference_is_zero", "yardstick", "rest")
-}
-# The field and the cached properties that depend on the target, and all other cached properties.
+FIELDS = {field.name for field in fields(TransientProblem)}
+CACHED = {name for name, part in vars(TransientProblem).items() if isinstance(part, cached_property)}
+# The field and the cached properties that depend on the target; fields and cached properties for any limits.
 OF_THE_TARGET = {"target", "tracking", "reference_is_zero"}
-FOR_ANY_TARGET = {name for name, part in vars(TransientProblem).items() if isinstance(part, cached_property)}
-FOR_ANY_TARGET -= OF_THE_TARGET
-BESIDES_THE_TARGET = operator.attrgetter(
-    *(field.name for field in fields(TransientProblem) if field.name != "target")
-)
+UNDER_ANY_LIMITS = FIELDS | {*("tracking", "shared", "feedback", "reference_is_zero", "yardstick", "rest")}
+BESIDES_THE_TARGET = operator.attrgetter(*sorted(FIELDS - {"target"}))

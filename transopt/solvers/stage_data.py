@@ -49,7 +49,7 @@ def tracking_values(problem: TransientProblem, stage: LinearStage) -> dict[str, 
     """
     after = tail(problem, stage)
     return {
-        "r": _wanted(problem),
+        "r": _wanted([problem])[0],
         "w": _weights(problem, stage),
         "rho": np.array([problem.movement.weight * stage.input_scale**2]),
         "end_gain": after.gain,
@@ -58,11 +58,12 @@ def tracking_values(problem: TransientProblem, stage: LinearStage) -> dict[str, 
     }
 
 
-def _wanted(problem: TransientProblem) -> FloatArray:
-    """(N, outputs) targets of the outputs: for each device all error terms, then zeros for the price on heat."""
-    wanted = problem.tracking.solved_wanted.T
-    zeros = [np.zeros((wanted.shape[0], problem.stage.motors))] if problem.heat_price > 0 else []
-    return np.concatenate([wanted] * len(problem.devices) + zeros, axis=1)
+def _wanted(problems: Sequence[TransientProblem]) -> FloatArray:
+    """(P, N, outputs) targets of the outputs: for each device all error terms, then zeros for the price on heat."""
+    first, wanted = problems[0], np.stack([problem.tracking.solved_wanted for problem in problems])
+    priced = first.stage.motors * int(first.heat_price > 0)
+    parts = [wanted] * len(first.devices) + [np.zeros((len(problems), priced, first.grid.stages))]
+    return np.ascontiguousarray(np.swapaxes(np.concatenate(parts, axis=1), 1, 2))
 
 
 def _weights(problem: TransientProblem, stage: LinearStage) -> FloatArray:
@@ -310,14 +311,12 @@ def _stages(problems: Sequence[TransientProblem]) -> list[Stages]:
     arrays = {
         "C": C @ shared.modes.T,
         "E": np.zeros_like(E) if shared.sizes["current"] >= 0 else E,
-        "reference": np.ascontiguousarray([_wanted(problem) for problem in problems]),
-        "end_gain": np.stack([each.gain for each in after]) @ shared.modes.T * by,
-        "end_target": np.stack([each.target for each in after]) * by,
+        "reference": _wanted(problems),
+        "end_gain": after.gain @ shared.modes.T * by,
+        "end_target": after.target * by,
     }
-    sizes, found = shared.sizes | {"ends": after[0].target.size}, []
-    constants = [
-        (each.tracking.constant + its.rest) / OBJECTIVE_SCALE for each, its in zip(problems, after, strict=True)
-    ]
+    sizes, found = shared.sizes | {"ends": after.target.shape[1]}, []
+    constants = (([each.tracking.constant for each in problems] + after.rest) / OBJECTIVE_SCALE).tolist()
     records = records_of([_record(sizes, shared.numbers, shared.arrays)] * len(problems))
     records["constant"] = constants
     for name, array in arrays.items():

@@ -25,14 +25,14 @@ class Tail:
 
     Attributes
     ----------
-    gain : (m, n) on the states of `LinearStage`, m <= n; m = 0 where the tail has no weight.
-    target : (m,).
-    rest : >= 0, independent of x_N.
+    gain : (m, n) on the states of `LinearStage`, m <= n; m = 0 where the tail has no weight. (P, m, n) of P problems.
+    target : (m,) or (P, m).
+    rest : scalar or (P,), >= 0, independent of x_N.
     """
 
     gain: FloatArray
     target: FloatArray
-    rest: float
+    rest: FloatArray
 
 
 @dataclass(frozen=True)
@@ -54,11 +54,12 @@ class _Free:
 
 def tail(problem: TransientProblem, stage: LinearStage) -> Tail:
     """The tail's cost of a problem, for the states of its linear stage."""
-    return tails([problem], stage)[0]
+    found = tails([problem], stage)
+    return Tail(found.gain[0], found.target[0], found.rest[0])
 
 
-def tails(problems: Sequence[TransientProblem], stage: LinearStage) -> list[Tail]:
-    """The tails' costs of problems that differ only in the target; with a wall there is only one.
+def tails(problems: Sequence[TransientProblem], stage: LinearStage) -> Tail:
+    """The tails' costs of P problems that differ only in the target; with a wall there is only one.
 
     Parameters
     ----------
@@ -67,7 +68,8 @@ def tails(problems: Sequence[TransientProblem], stage: LinearStage) -> list[Tail
     first = problems[0]
     M, n = first.grid.after_stages, stage.units.size
     if M == 0 or not any(term.after > 0 for term in first.terms):
-        return [Tail(np.zeros((0, n)), np.zeros(0), 0.0)] * len(problems)
+        P = len(problems)
+        return Tail(np.zeros((P, 0, n)), np.zeros((P, 0)), np.zeros(P))
     free = _free(first, stage)
     wanted = np.stack([problem.tracking.unit_wanted[:, first.grid.stages :] for problem in problems])
     asked = np.swapaxes(wanted[:, free.counting % wanted.shape[1]], 1, 2).reshape(len(problems), -1)
@@ -80,8 +82,8 @@ def tails(problems: Sequence[TransientProblem], stage: LinearStage) -> list[Tail
             asked, gains = asked - offset, gain[None]
         asked = asked * free.roots
         targets = np.matmul(asked[:, None, :], Q)[:, 0]
-        rests = [max(float(a @ a - t @ t), 0.0) for a, t in zip(asked, targets, strict=True)]
-    return [Tail(*each) for each in zip(gains, targets, rests, strict=True)]
+        rests = np.maximum(np.sum(asked * asked, axis=1) - np.sum(targets * targets, axis=1), 0.0)
+    return Tail(gains, targets, rests)
 
 
 def _free(problem: TransientProblem, stage: LinearStage) -> _Free:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -57,7 +58,7 @@ class Tracking:
     @cached_property
     def wanted(self) -> FloatArray:
         """(T, L + N + M) target through every term's filter; (T, p, L + N + M) with several directions."""
-        return np.stack([term.filtered(self.target.whole_m_s2) for term in self.terms])
+        return np.asarray(self._filtered("wanted"))
 
     @cached_property
     def weights(self) -> FloatArray:
@@ -68,9 +69,12 @@ class Tracking:
     @cached_property
     def energy_m2_s4(self) -> float:
         """E, the normalisation of the cost."""
-        if self._directions:
-            return self.mean(self._squares(self.wanted))
-        return float(np.sum(self.weights * self.wanted**2))
+        return float(self._filtered("energy_m2_s4"))
+
+    def _filtered(self, name: str) -> Any:
+        """One of the parts that `filter_together` computes."""
+        filter_together([self])
+        return vars(self)[name]
 
     @property
     def _directions(self) -> bool:
@@ -93,10 +97,7 @@ class Tracking:
     @cached_property
     def lost_m2_s4(self) -> float:
         """The lost samples' part of every loss, times E."""
-        lost = slice(self._lost)
-        if self._directions:
-            return self.mean(np.einsum("tk,tpk->p", self.weights[:, lost], self.wanted[..., lost] ** 2))
-        return float(np.sum(self.weights[:, lost] * self.wanted[:, lost] ** 2))
+        return float(self._filtered("lost_m2_s4"))
 
     def error(self, accelerations_m_s2: FloatArray) -> FloatArray:
         """(T, ..., K) F e for accelerations (..., K) from tau_0 on, K <= N + M; (p, K) with several directions."""
@@ -176,8 +177,7 @@ class Tracking:
 
         With several directions it is (p T, N + M), the terms of one direction side by side.
         """
-        wanted = self.wanted[..., self._lost :] / (np.sqrt(self.energy_m2_s4) or 1.0)
-        return np.asarray(np.moveaxis(wanted, 0, 1).reshape(-1, wanted.shape[-1]) if self._directions else wanted)
+        return np.asarray(self._filtered("unit_wanted"))
 
     @cached_property
     def solved_weights(self) -> FloatArray:
@@ -208,12 +208,28 @@ class Tracking:
 
 
 def filter_together(costs: Sequence[Tracking]) -> None:
-    """Filter the targets of costs with the same terms in one pass; each then has its part cached."""
+    """Filter the targets of costs with the same terms in one pass; each then has what depends on the target cached."""
     groups: dict[tuple[object, ...], list[Tracking]] = {}
     for each in costs:
         groups.setdefault((id(each.terms), each.target.lost, each.target.whole_m_s2.shape), []).append(each)
     for group in groups.values():
+        weights, lost = group[0].weights, group[0].target.lost
         whole = np.stack([each.target.whole_m_s2 for each in group])
-        by_target = np.stack([term.filtered(whole) for term in group[0].terms], axis=1)
-        for each, wanted in zip(group, by_target, strict=True):
-            vars(each).update(wanted=wanted, weights=group[0].weights)
+        wanted = np.stack([term.filtered(whole) for term in group[0].terms], axis=1)
+        directed = wanted.ndim > 3
+        squares, of_lost = (
+            np.einsum("tk,nt...k,nt...k->n...", weights[:, part], wanted[..., part], wanted[..., part])
+            for part in (slice(None), slice(lost))
+        )
+        if directed:
+            squares, of_lost = (
+                np.array([each.mean(of) for each, of in zip(group, sums, strict=True)]) for sums in (squares, of_lost)
+            )
+        units = np.where(squares == 0, 1.0, np.sqrt(squares))
+        unit_wanted = wanted[..., lost:] / units.reshape(-1, *[1] * (wanted.ndim - 1))
+        if directed:
+            unit_wanted = np.swapaxes(unit_wanted, 1, 2).reshape(len(group), -1, unit_wanted.shape[-1])
+        parts = zip(group, wanted, unit_wanted, map(float, squares), map(float, of_lost), strict=True)
+        for each, filtered, unit, energy, before in parts:
+            found = {"wanted": filtered, "unit_wanted": unit, "energy_m2_s4": energy, "lost_m2_s4": before}
+            vars(each).update(found, weights=weights)

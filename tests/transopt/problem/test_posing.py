@@ -1,0 +1,80 @@
+"""Problems of one grip posed together: each is the one posed alone, and they share what no target changes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import problems
+from transopt.base.errors import InputError
+from transopt.design.context import Context, wanted_of
+from transopt.problem.leave_out import leave_out, leave_out_all
+from transopt.problem.posing import Wanted
+from transopt.problem.problem import FIELDS, TransientProblem
+from transopt.scene.recordings import recordings_of
+
+# Without and with courses of the nominal motion in the limits, with a wall, and with several motors.
+SCENES = ("wood_on_foam", "hot_coil", "low_supply", "walled", "stylus_3d")
+
+
+def posed(name: str) -> tuple[Context, list[Wanted], list[TransientProblem]]:
+    scene = problems.load(name)
+    context = Context.recorded(scene, recordings_of(scene))
+    device = scene.axes.devices[-1]
+    references = [context.reference(speed, device[0], target) for speed, target in scene.axes.rows]
+    found = [each.problem for each in context.posed_together(references, *device)]
+    return context, list(map(wanted_of, references)), found
+
+
+def rows_of(problem: TransientProblem) -> list[tuple[str, object, object, object]]:
+    found = [(row.name, row.lower, row.upper, row.offset) for _, row in problem.rows()]
+    return [(name, *(np.asarray(each).tolist() for each in numbers)) for name, *numbers in found]
+
+
+def check_alike(one: TransientProblem, other: TransientProblem) -> None:
+    for name in sorted(FIELDS - {"limits", "target", "wall", "shares"}):
+        assert getattr(one, name) == getattr(other, name) or getattr(one, name) is getattr(other, name), name
+    assert rows_of(one) == rows_of(other)
+    np.testing.assert_array_equal(one.target.whole_m_s2, other.target.whole_m_s2)
+    assert one.tracking.energy_m2_s4 == pytest.approx(other.tracking.energy_m2_s4, rel=1e-13)
+    assert (one.command_bound, one.thermal is None) == (other.command_bound, other.thermal is None)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_each_is_the_problem_posed_alone(name: str) -> None:
+    context, wanted, found = posed(name)
+    for problem, each in zip(found, wanted, strict=True):
+        check_alike(problem, context.posing.problem(each, problem.stage, problem.spread))
+
+
+def test_they_share_limits_that_no_tap_changes_alone() -> None:
+    _, _, alike = posed("hot_coil")
+    assert all(problem.limits is alike[0].limits and problem.rows() is alike[0].rows() for problem in alike)
+    _, wanted, apart = posed("low_supply")
+    assert len({id(problem.limits["supply"]) for problem in apart}) == len(apart) == len(wanted)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_what_is_left_out_of_each_is_left_out_of_all(name: str) -> None:
+    _, _, found = posed(name)
+    for problem, reduced in zip(found, leave_out_all(found), strict=True):
+        alone = leave_out(problem)
+        assert reduced.left_out == alone.left_out
+        check_alike(reduced.problem, alone.problem)
+        np.testing.assert_array_equal(reduced.problem.target.whole_m_s2, problem.target.whole_m_s2)
+
+
+def test_another_target_is_checked() -> None:
+    _, _, (problem, *_) = posed("wood_on_foam")
+    window = problem.target.window_m_s2
+    with pytest.raises(InputError, match=r"reference_m_s2 has shape \(\d+,\), expected \(\d+,\)"):
+        problem.aiming_at(replace(problem.target, window_m_s2=window[1:]))
+    with pytest.raises(InputError, match="reference_m_s2 holds a number that is not finite"):
+        problem.aiming_at(replace(problem.target, window_m_s2=np.where(np.arange(window.size) == 3, np.nan, window)))
+
+
+def test_a_raised_temperature_limit_is_another_one() -> None:
+    _, _, (problem, *_) = posed("hot_coil")
+    assert problem.thermal is not None
+    assert problem.thermal.raised(1.0) != problem.thermal
+    assert problem.replaced(problem.thermal.raised(1.0)).limits != problem.limits
