@@ -231,10 +231,11 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Search[Designe
             designed = designed if designed.solution.status is not Status.INFEASIBLE else again
             break
         designed = again
-    left_out = designed.left_out
-    if designed.solved is not None and designed.is_proven:
-        left_out = left_out | said_of_instants(designed)
-    return replace(designed, solution=replace(designed.solution, solve_time_s=spent), left_out=left_out)
+    if spent != designed.solution.solve_time_s:
+        designed = replace(designed, solution=replace(designed.solution, solve_time_s=spent))
+    if designed.solved is not None and designed.is_proven and (said := said_of_instants(designed)):
+        designed = replace(designed, left_out=designed.left_out | said)
+    return designed
 
 
 @dataclass(frozen=True)
@@ -347,7 +348,13 @@ def _under_limits(attempts: Sequence[_Attempt], options: SolverOptions) -> list[
     """Answers where limits bind: without the temperature or, where that would be exceeded, with it."""
     cold = [each.small.without(TemperatureLimit.name) for each in attempts]
     first = _in_problems([each.problem for each in attempts], solve_certified(cold, options))
-    warm_up([each.effect for each in first if each.solution.status is Status.OPTIMAL])
+    warm_up(
+        [
+            its.effect
+            for each, its in zip(attempts, first, strict=True)
+            if each.small.thermal is not None and its.solution.status is Status.OPTIMAL
+        ]
+    )
     cool = {i: said for i, each in enumerate(attempts) if (said := _cool(each, first[i]))}
     # A problem that is infeasible without the temperature limit is infeasible with it.
     hot = [

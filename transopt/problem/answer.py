@@ -69,10 +69,11 @@ class Multipliers:
     __repr__ = brief
 
     @classmethod
-    def zero(cls, problem: TransientProblem) -> "Multipliers":
-        """The multipliers where no limit binds: all zero."""
-        tail = np.zeros((*problem.rest.shape[:-1], problem.hand_over_samples))
-        return cls(problem.grid.stages, {}, tail, _nothing(problem.grid.stages))
+    def zero(cls, problem: TransientProblem, hand_over: FloatArray | None = None) -> "Multipliers":
+        """The multipliers where no limit binds: all zero but, where they are given, those of the hand-over."""
+        if hand_over is None:
+            hand_over = np.zeros((*problem.rest.shape[:-1], problem.hand_over_samples))
+        return cls(problem.grid.stages, {}, hand_over, _nothing(problem.grid.stages))
 
     def lower(self, row: str) -> FloatArray:
         """(N,) multipliers of a row's lower bound."""

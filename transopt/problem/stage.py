@@ -145,7 +145,13 @@ class Layout:
 
 
 def layout(problem: TransientProblem) -> Layout:
-    """The layout of a problem's states."""
+    """The layout of a problem's states, cached in the stage model."""
+    own = problem.heat_price > 0, None if problem.wall is None else problem.wall.wall
+    same = (*problem.spread, problem.terms)
+    return problem.stage.kept(Layout, same, own, lambda: _layout(problem))
+
+
+def _layout(problem: TransientProblem) -> Layout:
     amplifier = problem.stage.amplifier is not None
     wall, motors = problem.wall, problem.stage.motors
     return Layout(

@@ -220,8 +220,10 @@ def under_further_limits(proof: Certificate, effect: Effect, known: TransientPro
         if row.name not in rows:
             value, (lower, upper) = effect.value(row), row.bounds(problem.grid.stages)
             outside.append((limit, float(np.maximum(value - upper, lower - value).max())))
-    if problem.thermal is not None and known.thermal is None:
-        outside.append((problem.thermal, float((effect.winding_C - problem.thermal.bounds_C).max())))
+    thermal = problem.thermal
+    if thermal is not None and known.thermal is None:
+        kept = proof.excess <= 1 and thermal.surely_kept(problem)
+        outside.append((thermal, 0.0 if kept else float((effect.winding_C - thermal.bounds_C).max())))
     violations, excess = left_over(problem, outside, 0.0)
     for unit, by in proof.violations.items():
         violations[unit] = max(violations.get(unit, 0.0), by)

@@ -90,11 +90,13 @@ class _Units:
     of_row : unit of the row of the stage data, in the physical unit of its limit.
     tolerance : the limit's.
     alike : physical unit -> indices of its rows.
+    thermal : the temperature limit; None also where the limit on the input implies it.
     """
 
     of_row: FloatArray
     tolerance: FloatArray
     alike: Mapping[str, list[int]]
+    thermal: TemperatureLimit | None
 
     @classmethod
     def of(cls, problem: TransientProblem, given: Stages) -> "_Units":
@@ -102,7 +104,10 @@ class _Units:
         for i, limit in enumerate(limits):
             alike.setdefault(limit.base_unit(), []).append(i)
         of_row = np.asarray(given.limits.unit * [limit.stated for limit in limits])
-        return cls(of_row, np.array([limit.tolerance for limit in limits]), alike)
+        thermal = problem.thermal
+        if thermal is not None and thermal.surely_kept(problem):
+            thermal = None
+        return cls(of_row, np.array([limit.tolerance for limit in limits]), alike, thermal)
 
 
 def _side_by_side(answers: Sequence[tuple[Effect, Multipliers]], given: Sequence[Stages]) -> list[Certificate | None]:
@@ -122,7 +127,7 @@ def _side_by_side(answers: Sequence[tuple[Effect, Multipliers]], given: Sequence
         _by_row(effect.problem, multipliers, unit.of_row / OBJECTIVE_SCALE)
         for (effect, multipliers), unit in zip(answers, units, strict=True)
     ]
-    warm_up([effect for effect, _ in answers])
+    warm_up([effect for (effect, _), unit in zip(answers, units, strict=True) if unit.thermal is not None])
     found = prove(given, commands, by_row, by_rule)
     excess, by_input = found.excess * np.stack([unit.of_row for unit in units]), scale[:, 0, 0]
     relative = (excess / np.stack([unit.tolerance for unit in units])).max(axis=1, initial=0.0)
@@ -167,11 +172,13 @@ def _certificate(
     ----------
     relative : the largest of the excesses over their tolerances, and of zero.
     """
-    problem, thermal = effect.problem, effect.problem.thermal
-    violations = {"A": max(residual, 0.0)}
+    problem, violations = effect.problem, {"A": max(residual, 0.0)}
     for unit, rows in units.alike.items():
         violations[unit] = max(violations.get(unit, 0.0), *(excess[i] for i in rows))
+    if problem.thermal is not None:
+        violations.setdefault(problem.thermal.base_unit(), 0.0)
     relative = max(relative, residual / tolerated(problem.limits.input_limit))
+    thermal = units.thermal if relative <= 1 else problem.thermal
     if thermal is not None:
         hotter = float((effect.winding_C - thermal.bounds_C).max())
         if not np.isfinite(effect.winding_C.max()):

@@ -69,7 +69,7 @@ def _by_compiled_pass(problems: Sequence[TransientProblem]) -> list[Solution | N
         if answer.code not in (extension.SOLVED, extension.ACCURACY):
             continue
         problem, command = problems[i], stages.free_command(answer.command)
-        multipliers = replace(Multipliers.zero(problem), hand_over=stages.hand_over(answer.gradient))
+        multipliers = Multipliers.zero(problem, stages.hand_over(answer.gradient))
         gap = answer.relative_gap
         if not gap <= GAP:
             left = movement_bound(problem, reduced_gradient(Effect(problem, command), multipliers))

@@ -29,6 +29,7 @@ from transopt.problem.heat import Budget, HeatModel, heat_model, steady_margin_K
 from transopt.problem.limits.limit import VIOLATION_TOLERANCE, Limit, Posed, Setting
 
 ROUNDING = 1e-6  # relative rounding of the steady state where the tap period is far below the time constants
+WITHIN_TOLERANCE = 1e-4  # most by which an input within its tolerance adds to the rise, relative to the rise
 BETWEEN_INSTANTS_K = 1e-3  # tolerance of the replay: the problem states the limit at the switching instants only
 
 
@@ -178,6 +179,12 @@ class TemperatureLimit(Limit):
         steps = np.full(grid.stages + 1, duration / (grid.stages + 1))
         winding, _ = self.coil.steady_course(heat, steps, self.period_s - duration, np.array([self.budget.pause_A]))
         return float(winding.max())
+
+    def surely_kept(self, problem: Posed) -> bool:
+        """Whether every command meets it that keeps the limit on the input, up to that limit's tolerance."""
+        bound = self.bound_C(problem)
+        over = WITHIN_TOLERANCE * max(bound - self.coil.start_winding_C, 0.0)
+        return bound + over <= self.limit_C - self.kept_back
 
     def cannot_bind(self, problem: Posed) -> str:
         bound = self.bound_C(problem)

@@ -208,7 +208,7 @@ class Tracking:
 
 
 def filter_together(costs: Sequence[Tracking]) -> None:
-    """Filter the targets of costs with the same terms in one pass; each then has what depends on the target cached."""
+    """Filter the targets of costs with the same terms in one pass; all that depends on them is then cached."""
     groups: dict[tuple[object, ...], list[Tracking]] = {}
     for each in costs:
         groups.setdefault((id(each.terms), each.target.lost, each.target.whole_m_s2.shape), []).append(each)
