@@ -148,6 +148,12 @@ ALWAYS_INLINE void raise_to(lanes *most, const lanes than)
 #define SWAPPED(v, j) __builtin_shuffle((v)[j], (choice){PAIRS})
 #endif
 
+/* A row of states; the whole array would be many times as long. */
+ALWAYS_INLINE void copy(const int blocks, const lanes *from, lanes *to)
+{
+    for (int j = 0; j < blocks; j++) to[j] = from[j];
+}
+
 ALWAYS_INLINE number total(const lanes *of)
 {
     number sum[PER];
@@ -248,12 +254,22 @@ static void *take(double *space, size_t *taken, size_t count)
 static const number *of_each(const void *const *all, size_t field, size_t count, double *space, size_t *taken)
 {
 #if ENTRIES > 1
+    static const double zero;
+    const double *from[ENTRIES];
+    size_t step[ENTRIES];
+    int one = 1; /* whether all problems have the same array */
     number *found = take(space, taken, count);
     if (!space) return NULL;
     for (int e = 0; e < ENTRIES; e++) {
-        const double *from = *(const double *const *)((const char *)all[e] + field);
-        for (size_t i = 0; i < count; i++) EACH(found[i], e) = from ? from[i] : 0.0;
+        from[e] = *(const double *const *)((const char *)all[e] + field);
+        step[e] = from[e] != NULL;
+        if (!from[e]) from[e] = &zero;
+        one = one && from[e] == from[0];
     }
+    for (size_t i = 0; i < count && one; i++)
+        for (int e = 0; e < ENTRIES; e++) EACH(found[i], e) = from[0][i * step[0]];
+    for (size_t i = 0; i < count && !one; i++)
+        for (int e = 0; e < ENTRIES; e++) EACH(found[i], e) = from[e][i * step[e]];
     return found;
 #else
     (void)count, (void)space, (void)taken;
@@ -1528,13 +1544,13 @@ static int solve(const tr_problem *const *all, const tr_options *options, double
     return 0;
 }
 
-static int linear(const tr_problem *const *all, double tolerance, double *space, tr_result *const *r, tr_watch *watch)
+/* The optimum without limits: one Newton step from rest, and further ones with the same gains as refinement. `now` is of
+ * the last iterate; the best one is kept. Returns TR_INTERRUPTED, or 0. */
+static int pass(tr_work *w, double tolerance, tr_result *const *r, tr_state *now)
 {
-    tr_work work, *w = &work;
     tr_course course[ENTRIES];
     const number nothing = {0};
     number step;
-    prepare(w, all, space, watch);
     if (factor(w, 0, NULL) == TR_INTERRUPTED) return TR_INTERRUPTED;
     for (int e = 0; e < ENTRIES; e++) {
         course[e].best = INFINITY, course[e].ended = 0;
@@ -1545,20 +1561,29 @@ static int linear(const tr_problem *const *all, double tolerance, double *space,
         int better[ENTRIES];
         newton(w, 0);
         advance(w, step);
-        const tr_state now = judge(w, nothing, nothing);
+        *now = judge(w, nothing, nothing);
         for (int e = 0; e < ENTRIES; e++) {
             double *best = &course[e].best;
-            better[e] = !course[e].ended && EACH(now.stationarity, e) < *best;
-            if (better[e]) *best = EACH(now.stationarity, e);
+            better[e] = !course[e].ended && EACH(now->stationarity, e) < *best;
+            if (better[e]) *best = EACH(now->stationarity, e);
             if (course[e].ended) continue;
-            if (*best <= tolerance * fmax(EACH(now.objective, e), 1.0))
+            if (*best <= tolerance * fmax(EACH(now->objective, e), 1.0))
                 end_with(course + e, r[e], TR_SOLVED, iterations);
             else if (!better[e] || iterations > REFINEMENTS)
                 end_with(course + e, r[e], *best < INFINITY ? TR_ACCURACY : TR_BREAKDOWN, iterations);
         }
-        keep(w, &now, better);
+        keep(w, now, better);
     }
-    deliver(w, r);
+    return 0;
+}
+
+static int linear(const tr_problem *const *all, double tolerance, double *space, tr_result *const *r, tr_watch *watch)
+{
+    tr_work work;
+    tr_state now;
+    prepare(&work, all, space, watch);
+    if (pass(&work, tolerance, r, &now)) return TR_INTERRUPTED;
+    deliver(&work, r);
     return 0;
 }
 
@@ -1631,11 +1656,11 @@ static void find_last(const tr_work *w, const tr_problem *const *all, int from, 
         }
         if (k == N) break;
         flow(n - motors, motors, blocks, w, x, w->u + k * motors, next);
-        memcpy(x, next, sizeof x);
+        copy(blocks, next, x);
     }
 }
 
-/* Search with limits that are stated before stage `cut` alone, with 0 none. From there on the optimum follows from the
+/* Search with limits that are stated before stage `cut` alone. From there on the optimum follows from the
  * state, and its cost is a square: a pass without limits gives both, and the search has `cut` stages. `last` says where
  * the answer leaves limits that are not stated (`find_last`). */
 static int shortened(const tr_problem *const *all, int cut, const tr_options *options, double *space, tr_result *const *r,
@@ -1649,88 +1674,68 @@ static int shortened(const tr_problem *const *all, int cut, const tr_options *op
     static const number none[MOST_NODES];
     const number nothing = {0};
     lanes x[MOST_BLOCKS], next[MOST_BLOCKS];
-    number step = nothing + 1.0;
+    tr_state now;
+    int unusable[ENTRIES], usable = 0;
     memset(x, 0, sizeof x);
     for (int e = 0; e < ENTRIES; e++) {
         bare[e] = head[e] = *all[e], of_bare[e] = bare + e, of_head[e] = head + e;
         bare[e].rows = bare[e].nodes = bare[e].repeated = 0;
-        r[e]->code = TR_BREAKDOWN, last[e] = N;
+        last[e] = N;
     }
     prepare(w, of_bare, space, watch);
     double *taken = space + workspace(bare);
     while ((uintptr_t)taken % (WIDTH * sizeof(double))) taken++;
     number *P = (number *)taken, *p = P + ld * ld, *Z = p + ld, *z = Z + n * n, *y = z + n;
     taken = (double *)(y + n);
-    if (cut) w->cut = cut, w->cost_at_cut = (lanes *)P, w->costate_at_cut = (lanes *)p;
-    const int broken = factor(w, 0, NULL);
-    if (broken) return broken == TR_INTERRUPTED ? broken : 0;
-    begin(w);
-    tr_state now = {nothing, nothing, nothing, nothing};
-    for (int pass = 1; pass <= REFINEMENTS + 1; pass++) {
-        int wanting = 0;
-        newton(w, 0);
-        advance(w, step);
-        now = judge(w, nothing, nothing);
-        for (int e = 0; e < ENTRIES; e++) {
-            const double objective = EACH(now.objective, e), left = EACH(now.stationarity, e);
-            if (left <= options->tolerance * fmax(objective, 1.0)) EACH(step, e) = 0.0;
-            wanting = wanting || EACH(step, e) != 0.0;
-            if (EACH(w->sound, e) != 0.0 && left < INFINITY && objective < INFINITY) r[e]->code = TR_SOLVED;
-            r[e]->objective = objective, r[e]->gap = left, r[e]->residual = 0.0, r[e]->iterations = pass;
-        }
-        if (!wanting) break;
+    w->cut = cut, w->cost_at_cut = (lanes *)P, w->costate_at_cut = (lanes *)p;
+    if (pass(w, options->tolerance, r, &now)) return TR_INTERRUPTED;
+    for (int e = 0; e < ENTRIES; e++) unusable[e] = r[e]->code == TR_BREAKDOWN, usable = usable || !unusable[e];
+    if (!usable) return 0;
+    /* The rest's cost about the pass's own state x at the cut is |Z x_cut - z|^2 / 2 and a constant. */
+    number constant = now.objective;
+    for (int k = 0; k < cut; k++) {
+        flow(first, motors, blocks, w, x, w->u + k * motors, next);
+        copy(blocks, next, x);
+        for (int c = k * motors; c < (k + 1) * motors; c++) constant -= 0.5 * w->movement_weight * w->u[c] * w->u[c];
+        for (int o = k * q->outputs; o < (k + 1) * q->outputs; o++)
+            constant -= 0.5 * w->weight[o] * w->error[o] * w->error[o];
     }
-    for (int e = 0; e < ENTRIES; e++)
-        if (r[e]->code == TR_SOLVED && EACH(step, e) != 0.0) r[e]->code = TR_ACCURACY;
-    if (cut) {
-        /* The rest's cost about the pass's own state x at the cut is |Z x_cut - z|^2 / 2 and a constant. */
-        number constant = now.objective;
-        int unusable[ENTRIES];
-        for (int k = 0; k < cut; k++) {
-            flow(first, motors, blocks, w, x, w->u + k * motors, next);
-            memcpy(x, next, sizeof x);
-            for (int c = k * motors; c < (k + 1) * motors; c++) constant -= 0.5 * w->movement_weight * w->u[c] * w->u[c];
-            for (int o = k * q->outputs; o < (k + 1) * q->outputs; o++)
-                constant -= 0.5 * w->weight[o] * w->error[o] * w->error[o];
-        }
-        root_of(n, ld, P, p, Z, y);
-        for (int i = 0; i < n; i++) {
-            z[i] = -y[i];
-            for (int j = i; j < n; j++) z[i] += Z[i * n + j] * AT(x, j);
-            constant -= 0.5 * y[i] * y[i];
-        }
-        for (int e = 0; e < ENTRIES; e++) {
-            double *gain = taken, *target = gain + n * n, *lower = target + n, *upper = lower + (cut + 1) * m;
-            taken = upper + (cut + 1) * m;
-            for (int i = 0; i < n * n; i++) gain[i] = EACH(Z[i], e);
-            for (int i = 0; i < n; i++) target[i] = EACH(z[i], e);
-            /* At the cut itself only the temperature is limited: no other limit's value there is decided before it. */
-            for (int i = 0; i < (cut + 1) * m; i++) {
-                const int stated = i < cut * m || (NODES(q) && i == cut * m);
-                lower[i] = stated ? all[e]->lower[i] : -INFINITY, upper[i] = stated ? all[e]->upper[i] : INFINITY;
-            }
-            head[e].constant = EACH(constant, e);
-            head[e].stages = head[e].free_stages = cut, head[e].ends = n;
-            head[e].end_gain = gain, head[e].end_target = target, head[e].lower = lower, head[e].upper = upper;
-            unusable[e] = r[e]->code == TR_BREAKDOWN;
-        }
-        const int failed = solve(of_head, options, taken, r, watch);
-        if (failed) return failed;
-        /* What the search has moved, and by the pass's gains the rest. */
-        memset(w->K, 0, (size_t)(cut * motors * ld) * sizeof(number));
-        memset(w->pivot, 0, (size_t)(cut * motors * motors) * sizeof(number));
-        memset(w->offset, 0, (size_t)(N * motors) * sizeof(number));
-        for (int e = 0; e < ENTRIES; e++) {
-            if (unusable[e]) r[e]->code = TR_BREAKDOWN;
-            for (int at = 0; at < cut * motors; at++) {
-                const double before = at < motors ? 0.0 : r[e]->command[at - motors];
-                EACH(w->offset[at], e) = r[e]->command[at] - before - EACH(w->u[at], e);
-            }
-        }
-        forward(w, none, w->offset, w->offset_e, 1);
-        advance(w, nothing + 1.0);
-        backward(w, none, 1, w->offset, w->offset_e, 0);
+    root_of(n, ld, P, p, Z, y);
+    for (int i = 0; i < n; i++) {
+        z[i] = -y[i];
+        for (int j = i; j < n; j++) z[i] += Z[i * n + j] * AT(x, j);
+        constant -= 0.5 * y[i] * y[i];
     }
+    for (int e = 0; e < ENTRIES; e++) {
+        double *gain = taken, *target = gain + n * n, *lower = target + n, *upper = lower + (cut + 1) * m;
+        taken = upper + (cut + 1) * m;
+        for (int i = 0; i < n * n; i++) gain[i] = EACH(Z[i], e);
+        for (int i = 0; i < n; i++) target[i] = EACH(z[i], e);
+        /* At the cut itself only the temperature is limited: no other limit's value there is decided before it. */
+        for (int i = 0; i < (cut + 1) * m; i++) {
+            const int stated = i < cut * m || (NODES(q) && i == cut * m);
+            lower[i] = stated ? all[e]->lower[i] : -INFINITY, upper[i] = stated ? all[e]->upper[i] : INFINITY;
+        }
+        head[e].constant = EACH(constant, e);
+        head[e].stages = head[e].free_stages = cut, head[e].ends = n;
+        head[e].end_gain = gain, head[e].end_target = target, head[e].lower = lower, head[e].upper = upper;
+    }
+    const int failed = solve(of_head, options, taken, r, watch);
+    if (failed) return failed;
+    /* What the search has moved, and by the pass's gains the rest. */
+    memset(w->K, 0, (size_t)(cut * motors * ld) * sizeof(number));
+    memset(w->pivot, 0, (size_t)(cut * motors * motors) * sizeof(number));
+    memset(w->offset, 0, (size_t)(N * motors) * sizeof(number));
+    for (int e = 0; e < ENTRIES; e++) {
+        if (unusable[e]) r[e]->code = TR_BREAKDOWN;
+        for (int at = 0; at < cut * motors; at++) {
+            const double before = at < motors ? 0.0 : r[e]->command[at - motors];
+            EACH(w->offset[at], e) = r[e]->command[at] - before - EACH(w->u[at], e);
+        }
+    }
+    forward(w, none, w->offset, w->offset_e, 1);
+    advance(w, nothing + 1.0);
+    backward(w, none, 1, w->offset, w->offset_e, 0);
     for (int e = 0; e < ENTRIES; e++)
         for (int at = cut * motors; at < N * motors; at++) {
             r[e]->command[at] = (at < motors ? 0.0 : r[e]->command[at - motors]) + EACH(w->u[at], e);
@@ -1803,7 +1808,7 @@ static void prove(const tr_problem *const *all, double *space, tr_proof *const *
             slack += absolute(by_rule[at]) * left;
         }
         flow(first, motors, blocks, w, x, u, next);
-        memcpy(x, next, sizeof x);
+        copy(blocks, next, x);
     }
     for (int j = 0; j < q->ends; j++) {
         w->end_error[j] = dot(blocks, w->Z + j * blocks, x) - w->end_target[j];
@@ -1831,7 +1836,7 @@ static void prove(const tr_problem *const *all, double *space, tr_proof *const *
             gradient[c] += by_rule[at];
             add(blocks, -by_rule[at], rule, next);
         }
-        memcpy(p, next, sizeof p);
+        copy(blocks, next, p);
         /* A command enters its own movement with + and the next one with -. */
         for (int c = 0; c < motors; c++) {
             const number size = absolute(gradient[c] - later[c]);
