@@ -8,6 +8,7 @@ import numpy as np
 from transopt.base.signals import FloatArray
 from transopt.base.threads import one_blas_thread
 from transopt.design.batch import Batch
+from transopt.design.build import SOLVED_TOGETHER
 from transopt.design.entry import Entry
 from transopt.design.optimum import optimum
 from transopt.library.answered import answers_of
@@ -17,6 +18,7 @@ from transopt.problem.answer import Certificate, Multipliers, Status
 from transopt.problem.limits.limit import tolerated
 from transopt.problem.problem import TransientProblem
 from transopt.proof.admit import admit
+from transopt.proof.designed import Designed
 from transopt.proof.effect import Effect
 from transopt.solvers import unlimited
 from transopt.solvers.choose import prove, prove_all
@@ -58,8 +60,11 @@ def _verified(library: Library, progress: Callable[[int], None]) -> list[Entry]:
     def free(problems: Sequence[TransientProblem]) -> list[FloatArray | None]:
         return [solution.command for solution in unlimited.solve(problems)]
 
+    some, found = max(SOLVED_TOGETHER // nv, 1), list[Designed]()
     for ig in range(ng):
-        designed = answers_of(library, ig, proofs, free)
+        if not found:
+            found = answers_of(library, range(ig, min(ig + some, ng)), proofs, free)
+        designed, found = found[:nv], found[nv:]
         uncorrected = [
             library.uncorrected(iv, ig) if library.correction_m_s2[iv, ig].any() else designed[iv].problem.target
             for iv in range(nv)

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from transopt.problem.answer import Certificate, Multipliers, Solution, Status
 from transopt.problem.objective.figures import Figures
 from transopt.problem.objective.target import Target
 from transopt.problem.objective.tracking import filter_together
-from transopt.problem.problem import TransientProblem
+from transopt.problem.problem import TransientProblem, tap_errors
 from transopt.proof.certify import binding_limits, certify
 from transopt.proof.designed import Designed
 from transopt.proof.effect import Effect, effects
@@ -168,39 +169,54 @@ Prove = Callable[[Sequence[tuple[Effect, Multipliers]]], list[Certificate]]
 Free = Callable[[Sequence[TransientProblem]], list[FloatArray | None]]
 
 
-def answers_of(library: Library, ig: int, prove: Prove, unlimited: Free) -> list[Designed]:
-    """The answers that the entries of one grip state, one per speed, with certificates computed here.
+def answers_of(library: Library, grips: Sequence[int], prove: Prove, unlimited: Free) -> list[Designed]:
+    """The answers that the entries of some grips state, grips outermost, with certificates computed here.
 
     Parameters
     ----------
+    grips : ig of each.
     prove : computes the certificates of commands and their multipliers in linear problems.
     unlimited : computes each problem's optimum (N,) without limits; None where it cannot.
     """
     rows = range(library.speeds_m_s.size)
+    places = [(iv, ig) for ig in grips for iv in rows]
     plant = library.scene().nonlinear_plant() if library.nonlinear else None
-    problems = library.problems(ig, rows)
+    problems = [problem for ig in grips for problem in library.problems(ig, rows)]
     filter_together([problem.tracking for problem in problems])
-    frees = _free_commands(problems, unlimited)
+    frees = _frees(problems, unlimited)
     if plant is not None:
         return [
-            _on_plant(library, iv, ig, plant, problem, free)
-            for iv, problem, free in zip(rows, problems, frees, strict=True)
+            _on_plant(library, *place, plant, problem, free)
+            for place, problem, free in zip(places, problems, frees, strict=True)
         ]
-    made = effects([(problem, library.command[iv, ig]) for iv, problem in zip(rows, problems, strict=True)])
-    answers = [_answer(library, iv, ig, Status.OPTIMAL) for iv in rows]
+    made = effects([(problem, library.command[place]) for place, problem in zip(places, problems, strict=True)])
+    answers = [_answer(library, *place, Status.OPTIMAL) for place in places]
     proofs = prove([(effect, answer.multipliers) for effect, answer in zip(made, answers, strict=True)])
     return list(map(_designed, problems, answers, proofs, made, frees))
 
 
-def _free_commands(problems: Sequence[TransientProblem], unlimited: Free) -> list[FloatArray]:
-    """(N,) optimum of each problem without limits; zero for a zero reference, NaN where none was found."""
+class _Free(NamedTuple):
+    """A problem's optimum (N,) without limits, its tap error, and its largest plant input."""
+
+    command: FloatArray
+    floor: float
+    peak: float
+
+
+def _frees(problems: Sequence[TransientProblem], unlimited: Free) -> list[_Free]:
+    """The optimum of each problem without limits; zero for a zero reference, NaN where none was found."""
     asked = [problem for problem in problems if not problem.reference_is_zero]
     found = iter(unlimited([problem.without_intensity() for problem in asked]))
     commands = [problem.rest if problem.reference_is_zero else next(found) for problem in problems]
-    return [
-        np.full_like(problem.rest, NAN) if command is None else command
+    known = [
+        (problem, np.full_like(problem.rest, NAN) if command is None else command)
         for problem, command in zip(problems, commands, strict=True)
     ]
+    with np.errstate(invalid="ignore"):
+        motions = [effect.motion for effect in effects(known)]
+        floors = tap_errors(problems, [motion.acceleration_m_s2 for motion in motions])
+    peaks = [float(np.abs(motion.plant_input).max()) for motion in motions]
+    return [_Free(command, *of) for (_, command), *of in zip(known, floors, peaks, strict=True)]
 
 
 def _answer(library: Library, iv: int, ig: int, accepted: Status) -> Solution:
@@ -212,18 +228,13 @@ def _answer(library: Library, iv: int, ig: int, accepted: Status) -> Solution:
 
 
 def _designed(
-    problem: TransientProblem, answer: Solution, proof: Certificate, effect: Effect, free: FloatArray
+    problem: TransientProblem, answer: Solution, proof: Certificate, effect: Effect, free: _Free
 ) -> Designed:
-    with np.errstate(invalid="ignore"):
-        motion = problem.stage.motion(free)
-    floor = problem.tap_error(motion.acceleration_m_s2)
-    return Designed(
-        problem, answer, proof, effect, free, floor, float(np.abs(motion.plant_input).max()), {}, None, []
-    )
+    return Designed(problem, answer, proof, effect, *free, {}, None, [])
 
 
 def _on_plant(
-    library: Library, iv: int, ig: int, plant: NonlinearCoil, problem: TransientProblem, free: FloatArray
+    library: Library, iv: int, ig: int, plant: NonlinearCoil, problem: TransientProblem, free: _Free
 ) -> Designed:
     """The answer that an entry of a nonlinear plant states, together with the linear design."""
     answer, nonlinear = _answer(library, iv, ig, Status.STATIONARY), nonlinear_problem(library, iv, ig, plant)

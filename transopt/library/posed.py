@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from transopt.base.axes import Axes
 from transopt.base.errors import InputError
@@ -285,16 +286,22 @@ class Posed(Held):
 
     def multipliers(self, iv: int, ig: int) -> Multipliers:
         """Multipliers of one entry."""
-        stages, pairs = self.command.shape[-1], {}
-        for row in dict.fromkeys(row_of(name) for name in self.multipliers_of):
-            lower, upper = (self.multipliers_of.get(f"mu_{row}_{side}") for side in SIDES)
-            if lower is not None or upper is not None:
-                nothing = np.zeros(stages)
-                pairs[row] = (
-                    nothing if lower is None else lower[iv, ig],
-                    nothing if upper is None else upper[iv, ig],
-                )
+        stages = self.command.shape[-1]
+        nothing = np.zeros(stages)
+        of, pairs = self.multipliers_of, {}
+        for row, priced in self._priced.items():
+            if priced[iv, ig]:
+                lower, upper = (of[name][iv, ig] if (name := f"mu_{row}_{side}") in of else nothing for side in SIDES)
+                pairs[row] = (lower, upper)
         return Multipliers(stages, pairs, self.mu_end[iv, ig], self.current_sign[iv, ig])
+
+    @cached_property
+    def _priced(self) -> dict[str, NDArray[np.bool_]]:
+        """Row of a limit -> (v, g) whether the entry has any multiplier of it other than zero."""
+        found: dict[str, NDArray[np.bool_]] = {}
+        for name, array in self.multipliers_of.items():
+            found[row_of(name)] = array.any(axis=-1) | found.get(row_of(name), False)
+        return found
 
 
 def scene_in(meta: dict[str, Any]) -> "Scene":

@@ -88,7 +88,7 @@ def doubts(library: Library) -> Iterator[str]:
 
 
 def _of_grip(library: Library, ig: int) -> Iterator[str]:
-    for iv, designed in enumerate(answers_of(library, ig, _proofs, _unlimited)):
+    for iv, designed in enumerate(answers_of(library, [ig], _proofs, _unlimited)):
         where = f"entry {library.axes.place(iv, ig)}: "
         if designed.solution.status is not Status.OPTIMAL:
             yield f"{where}its status is: {library.status[iv, ig]}"
