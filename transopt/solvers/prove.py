@@ -120,9 +120,8 @@ def _side_by_side(answers: Sequence[tuple[Effect, Multipliers]], given: Sequence
         known[id(effect.problem.rows()), id(each.limits)] for (effect, _), each in zip(answers, given, strict=True)
     ]
     scale = np.array([each.input_scale for each in given])[:, None, None]
-    # Stage by stage, with the numbers of several motors side by side.
-    commands = np.stack([np.atleast_2d(effect.command).T for effect, _ in answers]) / scale
-    by_rule = np.stack([np.atleast_2d(m.hand_over).T for _, m in answers]) * (scale / OBJECTIVE_SCALE)
+    commands = _by_stage([effect.command for effect, _ in answers]) / scale
+    by_rule = _by_stage([m.hand_over for _, m in answers]) * (scale / OBJECTIVE_SCALE)
     by_row = [
         _by_row(effect.problem, multipliers, unit.of_row / OBJECTIVE_SCALE)
         for (effect, multipliers), unit in zip(answers, units, strict=True)
@@ -141,6 +140,12 @@ def _side_by_side(answers: Sequence[tuple[Effect, Multipliers]], given: Sequence
             answers, units, finite.tolist(), excess.tolist(), relative.tolist(), *numbers.T.tolist(), strict=True
         )
     ]
+
+
+def _by_stage(courses: Sequence[FloatArray]) -> FloatArray:
+    """(P, N, m) courses (N,), or (m, N) of m motors, stage by stage with the motors side by side."""
+    found = np.stack(courses)
+    return found[..., None] if found.ndim == 2 else np.swapaxes(found, 1, 2)
 
 
 def _by_row(problem: TransientProblem, multipliers: Multipliers, by: FloatArray) -> FloatArray | None:

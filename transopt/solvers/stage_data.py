@@ -8,8 +8,9 @@ import operator
 import struct
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,11 +132,17 @@ class Stages:
 
     def of(self, problem: TransientProblem) -> "Stages":
         """Return these stage data as those of another problem with the same parts."""
-        if problem is self.problem:
-            return self
-        found = replace(self, problem=problem)
-        vars(found)["record"] = self.record
+        return self if problem is self.problem else self._with(problem=problem)
+
+    def _with(self, **changed: Any) -> "Stages":
+        """A copy with other fields or another record."""
+        found = object.__new__(type(self))
+        vars(found).update(vars(self), **changed)
         return found
+
+    def without_rows(self, record: bytes) -> "Stages":
+        """These stage data, whose record is given, without the rows of limits."""
+        return self._with(sizes=self.sizes | {"rows": 0}, arrays=self.arrays | NO_LIMITS, record=record)
 
     def command(self, scaled: FloatArray) -> FloatArray:
         """(N,) or (m, N) commands [A] from scaled ones, clipped to the command bound (`held`)."""
@@ -187,6 +194,12 @@ def _record(sizes: Mapping[str, int], numbers: Mapping[str, float], arrays: Mapp
 def records_of(given: Sequence[bytes]) -> NDArray[np.void]:
     """An array of `tr_problem` from its elements."""
     return np.frombuffer(bytearray().join(given), dtype=RECORD)  # numpy would join them field by field
+
+
+def _elements(records: NDArray[np.void]) -> list[bytes]:
+    """The elements of an array of `tr_problem`."""
+    whole, size = records.tobytes(), records.itemsize
+    return [whole[at : at + size] for at in range(0, len(whole), size)]
 
 
 _memory = threading.local()
@@ -321,7 +334,7 @@ def _stages(problems: Sequence[TransientProblem]) -> list[Stages]:
     records["constant"] = constants
     for name, array in arrays.items():
         records[name] = address(array) + array.strides[0] * np.arange(len(problems))
-    for j, problem in enumerate(problems):
+    for j, (problem, record) in enumerate(zip(problems, _elements(records), strict=True)):
         given = Stages(
             problem=problem,
             input_scale=stage.input_scale,
@@ -331,7 +344,7 @@ def _stages(problems: Sequence[TransientProblem]) -> list[Stages]:
             numbers=shared.numbers | {"constant": constants[j]},
             arrays=shared.arrays | {name: array[j] for name, array in arrays.items()},
         )
-        vars(given)["record"] = records[j].tobytes()
+        vars(given)["record"] = record
         found.append(given)
     return found
 
@@ -348,9 +361,4 @@ def without_limits_of(problems: Sequence[TransientProblem]) -> list[Stages]:
     records["rows"] = 0
     for name, array in NO_LIMITS.items():
         records[name] = address(array)
-    found = []
-    for j, given in enumerate(whole):
-        bare = replace(given, sizes=given.sizes | {"rows": 0}, arrays=given.arrays | NO_LIMITS)
-        vars(bare)["record"] = records[j].tobytes()
-        found.append(bare)
-    return found
+    return list(map(Stages.without_rows, whole, _elements(records)))
