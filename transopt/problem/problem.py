@@ -271,6 +271,11 @@ class TransientProblem:
         return found
 
     @cached_property
+    def stays_cool(self) -> bool:
+        """Whether every command that keeps the limit on the input keeps that on the winding's temperature."""
+        return self.thermal is None or self.thermal.surely_kept(self)
+
+    @cached_property
     def command_bound(self) -> float:
         """Bound on |c_k| of every admissible command."""
         return self.limits.command_bound(ideal=self.stage.amplifier is None)

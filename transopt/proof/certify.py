@@ -220,11 +220,7 @@ def under_further_limits(proof: Certificate, effect: Effect, known: TransientPro
         if row.name not in rows:
             value, (lower, upper) = effect.value(row), row.bounds(problem.grid.stages)
             outside.append((limit, float(np.maximum(value - upper, lower - value).max())))
-    thermal = problem.thermal
-    if thermal is not None and known.thermal is None:
-        kept = proof.excess <= 1 and thermal.surely_kept(problem)
-        outside.append((thermal, 0.0 if kept else float((effect.winding_C - thermal.bounds_C).max())))
-    violations, excess = left_over(problem, outside, 0.0)
+    violations, excess = left_over(problem, outside, 0.0, winding=effect if known.thermal is None else None)
     for unit, by in proof.violations.items():
         violations[unit] = max(violations.get(unit, 0.0), by)
     return replace(proof, violations=violations, excess=max(excess, proof.excess))
@@ -244,7 +240,7 @@ def _is_finite(array: FloatArray) -> bool:
 
 
 def left_over(
-    problem: TransientProblem, outside: Sequence[tuple[Limit, float]], off: float
+    problem: TransientProblem, outside: Sequence[tuple[Limit, float]], off: float, *, winding: Effect | None = None
 ) -> tuple[dict[str, float], float]:
     """Violations of limits and hand-over by unit, and the largest one divided by its tolerance.
 
@@ -252,7 +248,12 @@ def left_over(
     ----------
     outside : limits, each with its largest violation, negative where it holds.
     off : largest residual of the hand-over [A].
+    winding : effect whose winding's temperature is judged too, unless the other limits, being kept, imply its limit.
     """
+    if winding is not None and problem.thermal is not None:
+        kept = problem.stays_cool and all(by <= limit.tolerance for limit, by in outside)
+        hotter = 0.0 if kept else float((winding.winding_C - problem.thermal.bounds_C).max())
+        outside = [*outside, (problem.thermal, np.inf if np.isnan(hotter) else hotter)]
     violations, excess = {"A": max(off, 0.0)}, [off / tolerated(problem.limits.input_limit), 0.0]
     for limit, by in outside:
         unit = limit.base_unit()

@@ -4,17 +4,16 @@ The results equal those of `proof.certify`, but are computed from the stage data
 `proof.certify` does not use stage data. It checks both in the tests, and every library in `verify`.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers
-from transopt.problem.limits.limit import tolerated
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import certify, is_stated
+from transopt.proof.certify import certify, is_stated, left_over
 from transopt.proof.effect import TEMPERATURE, Effect, warm_up
 from transopt.solvers.native.extension import available, of_equal_sizes, prove, takes
 from transopt.solvers.stage_data import Stages, stages_of
@@ -81,63 +80,31 @@ def _is_known(effect: Effect, multipliers: Multipliers) -> bool:
     return is_stated(problem, command, multipliers)
 
 
-@dataclass(frozen=True)
-class _Units:
-    """What the rows of a problem's limits are measured in, one number for each row.
-
-    Attributes
-    ----------
-    of_row : unit of the row of the stage data, in the physical unit of its limit.
-    tolerance : the limit's.
-    alike : physical unit -> indices of its rows.
-    thermal : the temperature limit; None also where the limit on the input implies it.
-    """
-
-    of_row: FloatArray
-    tolerance: FloatArray
-    alike: Mapping[str, list[int]]
-    thermal: TemperatureLimit | None
-
-    @classmethod
-    def of(cls, problem: TransientProblem, given: Stages) -> "_Units":
-        limits, alike = [limit for limit, _ in problem.rows()], dict[str, list[int]]()
-        for i, limit in enumerate(limits):
-            alike.setdefault(limit.base_unit(), []).append(i)
-        of_row = np.asarray(given.limits.unit * [limit.stated for limit in limits])
-        thermal = problem.thermal
-        if thermal is not None and thermal.surely_kept(problem):
-            thermal = None
-        return cls(of_row, np.array([limit.tolerance for limit in limits]), alike, thermal)
-
-
 def _side_by_side(answers: Sequence[tuple[Effect, Multipliers]], given: Sequence[Stages]) -> list[Certificate | None]:
     """Certificates from stage data of equal sizes; None where a number is not finite."""
-    known = dict[tuple[int, int], _Units]()
-    for (effect, _), each in zip(answers, given, strict=True):
-        if (key := (id(effect.problem.rows()), id(each.limits))) not in known:
-            known[key] = _Units.of(effect.problem, each)
-    units = [
-        known[id(effect.problem.rows()), id(each.limits)] for (effect, _), each in zip(answers, given, strict=True)
-    ]
     scale = np.array([each.input_scale for each in given])[:, None, None]
+    units = np.stack([_units(effect.problem, each) for (effect, _), each in zip(answers, given, strict=True)])
     commands = _by_stage([effect.command for effect, _ in answers]) / scale
     by_rule = _by_stage([m.hand_over for _, m in answers]) * (scale / OBJECTIVE_SCALE)
     by_row = [
-        _by_row(effect.problem, multipliers, unit.of_row / OBJECTIVE_SCALE)
+        _by_row(effect.problem, multipliers, unit / OBJECTIVE_SCALE)
         for (effect, multipliers), unit in zip(answers, units, strict=True)
     ]
-    warm_up([effect for (effect, _), unit in zip(answers, units, strict=True) if unit.thermal is not None])
+    warm_up([effect for effect, _ in answers if not effect.problem.stays_cool])
     found = prove(given, commands, by_row, by_rule)
-    excess, by_input = found.excess * np.stack([unit.of_row for unit in units]), scale[:, 0, 0]
-    relative = (excess / np.stack([unit.tolerance for unit in units])).max(axis=1, initial=0.0)
-    merit, residual = found.objective * OBJECTIVE_SCALE, found.residual * by_input
-    gap, by_movement = ((by + found.slack) * OBJECTIVE_SCALE for by in (found.by_command, found.by_movement))
-    numbers = np.stack([merit, residual, found.dual_residual * OBJECTIVE_SCALE / by_input, gap, by_movement], axis=1)
-    finite = np.isfinite(excess).all(axis=1) & np.isfinite(numbers[:, :4]).all(axis=1) & np.isfinite(found.slack)
+    excess, unit = found.excess * units, scale[:, 0, 0]
+    finite = np.isfinite(np.column_stack([excess, *found[1:6]])).all(axis=1)
+    numbers = (
+        found.objective * OBJECTIVE_SCALE,
+        found.residual * unit,
+        found.dual_residual * OBJECTIVE_SCALE / unit,
+        (found.by_command + found.slack) * OBJECTIVE_SCALE,
+        (found.by_movement + found.slack) * OBJECTIVE_SCALE,
+    )
     return [
-        _certificate(effect, unit, *of) if is_finite else None
-        for (effect, _), unit, is_finite, *of in zip(
-            answers, units, finite.tolist(), excess.tolist(), relative.tolist(), *numbers.T.tolist(), strict=True
+        _certificate(effect, *of) if known else None
+        for (effect, _), known, *of in zip(
+            answers, finite.tolist(), excess.tolist(), *np.stack(numbers).tolist(), strict=True
         )
     ]
 
@@ -160,36 +127,20 @@ def _by_row(problem: TransientProblem, multipliers: Multipliers, by: FloatArray)
     return sides
 
 
-def _certificate(
-    effect: Effect,
-    units: _Units,
-    excess: list[float],
-    relative: float,
-    merit: float,
-    residual: float,
-    dual: float,
-    gap: float,
-    by_movement: float,
-) -> Certificate | None:
-    """The certificate from excesses of all rows and numbers in SI; None where the temperature is not finite.
+def _units(problem: TransientProblem, given: Stages) -> FloatArray:
+    """(rows,) unit of each row of the stage data, in the physical unit of its limit."""
+    return np.asarray(given.limits.unit * [limit.stated for limit, _ in problem.rows()])
 
-    Parameters
-    ----------
-    relative : the largest of the excesses over their tolerances, and of zero.
-    """
-    problem, violations = effect.problem, {"A": max(residual, 0.0)}
-    for unit, rows in units.alike.items():
-        violations[unit] = max(violations.get(unit, 0.0), *(excess[i] for i in rows))
-    if problem.thermal is not None:
-        violations.setdefault(problem.thermal.base_unit(), 0.0)
-    relative = max(relative, residual / tolerated(problem.limits.input_limit))
-    thermal = units.thermal if relative <= 1 else problem.thermal
-    if thermal is not None:
-        hotter = float((effect.winding_C - thermal.bounds_C).max())
-        if not np.isfinite(effect.winding_C.max()):
-            return None
-        violations[thermal.base_unit()] = max(violations.get(thermal.base_unit(), 0.0), hotter)
-        relative = max(relative, hotter / thermal.tolerance)
+
+def _certificate(
+    effect: Effect, excess: list[float], merit: float, residual: float, dual: float, gap: float, by_movement: float
+) -> Certificate | None:
+    """The certificate from excesses of all rows and numbers in SI; None where the temperature is not finite."""
+    problem = effect.problem
+    outside = [(limit, off) for (limit, _), off in zip(problem.rows(), excess, strict=True)]
+    violations, relative = left_over(problem, outside, residual, winding=effect)
+    if not np.isfinite(relative):
+        return None
     reward = problem.tracking.reward(effect.accelerations_m_s2) if problem.intensity > 0 else 0.0
     if gap > Certificate.GAP_TOLERANCE * max(merit + reward, OBJECTIVE_SCALE) and problem.movement.weight > 0:
         gap = float(np.fmin(gap, by_movement))

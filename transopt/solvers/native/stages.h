@@ -1564,7 +1564,8 @@ static int pass(tr_work *w, double tolerance, tr_result *const *r, tr_state *now
         *now = judge(w, nothing, nothing);
         for (int e = 0; e < ENTRIES; e++) {
             double *best = &course[e].best;
-            better[e] = !course[e].ended && EACH(now->stationarity, e) < *best;
+            const int finite = EACH(now->objective, e) < INFINITY;
+            better[e] = !course[e].ended && finite && EACH(now->stationarity, e) < *best;
             if (better[e]) *best = EACH(now->stationarity, e);
             if (course[e].ended) continue;
             if (*best <= tolerance * fmax(EACH(now->objective, e), 1.0))
