@@ -300,7 +300,7 @@ class Posed(Held):
         """Row of a limit -> (v, g) whether the entry has any multiplier of it other than zero."""
         found: dict[str, NDArray[np.bool_]] = {}
         for name, array in self.multipliers_of.items():
-            found[row_of(name)] = array.any(axis=-1) | found.get(row_of(name), False)
+            found[row_of(name)] = np.asarray(array.any(axis=-1) | found.get(row_of(name), False))
         return found
 
 

@@ -93,7 +93,7 @@ def _side_by_side(answers: Sequence[tuple[Effect, Multipliers]], given: Sequence
     warm_up([effect for effect, _ in answers if not effect.problem.stays_cool])
     found = prove(given, commands, by_row, by_rule)
     excess, unit = found.excess * units, scale[:, 0, 0]
-    finite = np.isfinite(np.column_stack([excess, *found[1:6]])).all(axis=1)
+    finite = np.asarray(np.isfinite(np.column_stack([excess, *found[1:6]])).all(axis=1))
     numbers = (
         found.objective * OBJECTIVE_SCALE,
         found.residual * unit,
