@@ -193,7 +193,7 @@ class TransientProblem:
         """The problem without the limits of these names."""
         if not any(name in self.limits for name in names):
             return self
-        return self.under(self.limits.without(*names))
+        return self._under(self.limits.without(*names))
 
     def alone(self) -> "TransientProblem":
         """The problem for its own device alone, without the spread and without a price on intensity."""
@@ -201,9 +201,9 @@ class TransientProblem:
 
     def replaced(self, limit: Limit) -> "TransientProblem":
         """The problem with the limit of the same name replaced by this one."""
-        return self.under(self.limits.replaced(limit))
+        return self._under(self.limits.replaced(limit))
 
-    def under(self, limits: Limits) -> "TransientProblem":
+    def _under(self, limits: Limits) -> "TransientProblem":
         """The problem under other limits; what does not depend on limits is neither checked nor computed again."""
         found = object.__new__(type(self))
         vars(found).update({name: value for name, value in vars(self).items() if name in UNDER_ANY_LIMITS})
@@ -247,7 +247,7 @@ class TransientProblem:
         if limits is self.limits:
             return self
         stage, *spread = (device.within(instants) for device in self.devices)
-        return replace(self.under(limits), stage=stage, spread=tuple(spread))
+        return replace(self._under(limits), stage=stage, spread=tuple(spread))
 
     @cached_property
     def parts(self) -> Mapping[str, int]:
