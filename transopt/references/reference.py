@@ -117,7 +117,8 @@ class Reference:
         """A copy whose courses are parts of one array (K,), in the order of `stacked`, and with other fields."""
         courses = {name: stacked[part].reshape(shape) for name, (part, shape) in self.within_stacked.items()}
         found = object.__new__(type(self))
-        vars(found).update({**vars(self), **courses, **others, "stacked": stacked})
+        vars(found).update({name: getattr(self, name) for name in (*self.__dataclass_fields__, "within_stacked")})
+        vars(found).update(**courses, **others, stacked=stacked)
         return found
 
     @cached_property

@@ -177,3 +177,11 @@ class TestWithoutGrip:
         found = references_of(coupled, blind)
         known = [found.at(v, 1.0).slow_part_known for v in (0.1, 0.15, 0.2, 0.3)]
         assert known == [False, False, True, True]
+
+
+def test_a_blend_has_a_target_of_its_own(whole: References) -> None:
+    for cell in whole:
+        assert cell.target is cell.target  # kept with the cell, from which a blend must not take it
+    for found in (whole.at(0.25, 3.0), whole.at(0.2, 2.0)):
+        np.testing.assert_array_equal(found.target.window_m_s2, found.recorded_m_s2 - found.free_m_s2)
+        np.testing.assert_array_equal(found.target.free_m_s2[found.target.lost :][:3], found.free_m_s2[:3])
