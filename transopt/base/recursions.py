@@ -13,16 +13,18 @@ import math
 import os
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from transopt.base.signals import FloatArray  # it imports this module for its spline
 
 CHUNK = 128  # stages in one band matrix, reused for a constant A
 EXTENSION = "_recursions.pyd" if os.name == "nt" else "_recursions.so"
-MOST_STATES, MOST_WIDTH, MOST_OUTPUTS = 64, 96, 4  # of recursions.c
+MOST_STATES, MOST_WIDTH, MOST_LARGEST, MOST_OUTPUTS = 64, 96, 192, 4  # of recursions.c
+ENTRY = np.dtype([("column", np.int32), ("value", np.float64)], align=True)  # its entry of a sparse matrix
 
 
 def _library() -> ct.CDLL | None:
@@ -30,21 +32,24 @@ def _library() -> ct.CDLL | None:
     if not file.exists():
         return None
     library = ct.CDLL(str(file))
-    if not hasattr(library, "tr_heated"):
+    if not hasattr(library, "tr_largest"):
         return None  # built from another version: not usable
-    if (library.tr_most_states(), library.tr_most_width()) != (MOST_STATES, MOST_WIDTH):
+    most = library.tr_most_states(), library.tr_most_width(), library.tr_most_largest()
+    if most != (MOST_STATES, MOST_WIDTH, MOST_LARGEST):
         return None
     size, count, array = ct.c_size_t, ct.c_int, ct.c_void_p
     takes: dict[str, tuple[type, ...]] = {
         "tr_run": (size, count, array, array),
         "tr_forwards": (size, count, array, array),
         "tr_backwards": (size, count, array, array),
-        "tr_courses": (size, size, *(count,) * 4, *(array,) * 3, count),
+        "tr_courses": (size, size, *(count,) * 4, *(array,) * 5, count),
+        "tr_largest": (size, size, *(count,) * 4, *(array,) * 5),
+        "tr_square_means": (size, size, array, ct.c_double, *(array,) * 3),
         "tr_heated": (size, size, *(array,) * 5),
         "tr_bilinear": (size, count, *(array,) * 3, ct.c_double, array, array),
         "tr_spline": (size, size, array, size, *(array,) * 3),
         "tr_spline_even": (size, array, size, ct.c_double, ct.c_double, array, array),
-        "tr_struck": (size, count, count, size, *(array,) * 4),
+        "tr_struck": (size, count, count, size, *(array,) * 5),
     }
     for name, given in takes.items():
         call = getattr(library, name)
@@ -115,6 +120,34 @@ class LinearSystem:
         """(..., p, N) gradient of a function by the inputs, from its gradient by the outputs (..., q, N)."""
         return self._mirror._along(by_outputs, back=True)
 
+    def largest(
+        self, inputs: FloatArray, start: FloatArray | None = None, *, terms: int = 1
+    ) -> tuple[FloatArray, FloatArray]:
+        """Largest |y| of each output along M courses, from any states on; NaN where a course has one.
+
+        Parameters
+        ----------
+        inputs : (M, p, N).
+        start : (M, m) states at first; by default zero.
+        terms : so many outputs one after the other are the terms of one sum of absolute values.
+
+        Returns
+        -------
+        (M, q / terms) largest values and (M, m) states after the last input.
+        """
+        (M, p, N), (q, m) = inputs.shape, self._C.shape
+        states = np.zeros((M, m)) if start is None else np.array(start, dtype=float, order="C")
+        found = np.empty((M, q // terms))
+        if COMPILED is not None and m <= MOST_STATES and p <= MOST_WIDTH and q // terms <= MOST_LARGEST:
+            inputs, (_, sparse) = np.ascontiguousarray(inputs, dtype=float), self._sparse
+            COMPILED.tr_largest(M, N, m, p, q, terms, *sparse, *map(address, (inputs, states, found)))
+            return found, states
+        for course in range(M):
+            outputs, states[course] = self._one_along(inputs[course], np.dtype(float), start=states[course])
+            sums = np.abs(outputs).reshape(q // terms, terms, N).sum(axis=1)
+            found[course] = sums.max(axis=1, initial=0.0)
+        return found, states
+
     @cached_property
     def _mirror(self) -> LinearSystem:
         """The adjoint system, which runs backward in time: lambda_k = A' lambda_(k+1) + C' g_k."""
@@ -123,27 +156,29 @@ class LinearSystem:
     def _along(self, inputs: FloatArray, *, back: bool) -> FloatArray:
         (*courses, p, N), (q, m), dtype = inputs.shape, self._C.shape, np.result_type(self._dtype, inputs)
         found = np.empty((*courses, q, N), dtype=dtype)
-        if dtype == np.float64 and COMPILED is not None and max(self._matrix.shape[1], p) <= MOST_WIDTH:
-            inputs, matrix = np.ascontiguousarray(inputs, dtype=float), self._matrix
-            width, given = matrix.shape[1], map(address, (matrix, inputs, found))
-            COMPILED.tr_courses(math.prod(courses), N, m, p, q, width, *given, back)
+        wide = max(self._matrix.shape[1], p) > MOST_WIDTH or m > MOST_STATES
+        if dtype == np.float64 and COMPILED is not None and not wide:
+            inputs, matrix, (_, sparse) = np.ascontiguousarray(inputs, dtype=float), self._matrix, self._sparse
+            given = (address(matrix), *sparse, address(inputs), address(found))
+            COMPILED.tr_courses(math.prod(courses), N, m, p, q, matrix.shape[1], *given, back)
             return found
         for each in np.ndindex(*courses):
-            found[each] = self._one_along(inputs[each], dtype, back=back)
+            along = inputs[each][:, ::-1] if back else inputs[each]
+            outputs, _ = self._one_along(along, dtype, start=np.zeros(m))
+            found[each] = outputs[:, ::-1] if back else outputs
         return found
 
-    def _one_along(self, inputs: FloatArray, dtype: np.dtype, *, back: bool) -> FloatArray:
+    def _one_along(self, inputs: FloatArray, dtype: np.dtype, start: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(q, N) outputs and (m,) states after the last of the inputs (p, N)."""
         N, m = inputs.shape[1], self._C.shape[1]
-        along = inputs[:, ::-1] if back else inputs
-        states = np.zeros((N, m), dtype=dtype)
-        states[1:] = along.T[:-1] @ self.B.T
+        states = np.zeros((N + 1, m), dtype=dtype)
+        states[0], states[1:] = start, inputs.T @ self.B.T
         if dtype == np.float64:
             states = self._recursion.run(states)
         else:
-            for k in range(1, N):  # neither BLAS nor the extension has extended precision
+            for k in range(1, N + 1):  # neither BLAS nor the extension has extended precision
                 states[k] += self.A @ states[k - 1]
-        found = self._C @ states.T + self._D @ along
-        return found[:, ::-1] if back else found
+        return self._C @ states[:-1].T + self._D @ inputs, states[-1]
 
     @cached_property
     def _recursion(self) -> Recursion:
@@ -157,6 +192,21 @@ class LinearSystem:
         whole[:m, :m], whole[:m, m:width] = self.A.T, self._C.T
         whole[m:, :m], whole[m:, m:width] = self.B.T, self._D.T
         return whole
+
+    @cached_property
+    def _sparse(self) -> tuple[tuple[NDArray[Any], ...], tuple[int, ...]]:
+        """`sparse` of the rows [D C; B A], which sum over inputs and states."""
+        return sparse(np.block([[self._D, self._C], [self.B, self.A]]))
+
+
+def sparse(rows: FloatArray) -> tuple[tuple[NDArray[Any], ...], tuple[int, ...]]:
+    """The sparse rows that `recursions.c` takes, at least one entry each: their arrays and the arrays' addresses."""
+    stated = rows != 0
+    stated[:, 0] = True
+    starts, entries = np.zeros(len(rows) + 1, dtype=np.int32), np.empty(int(stated.sum()), dtype=ENTRY)
+    np.cumsum(stated.sum(axis=1), out=starts[1:])
+    entries["column"], entries["value"] = np.nonzero(stated)[1], rows[stated]
+    return (starts, entries), (starts.ctypes.data, entries.ctypes.data)
 
 
 def bilinear(
@@ -184,6 +234,23 @@ def bilinear(
     forcing = b * (gain * h)[:, None]
     forcing[0] += P[0] @ start
     found[1:] = forwards(P[1:], forcing)
+    return found
+
+
+def square_means(factors: FloatArray, ripple: float, before: FloatArray, command: FloatArray) -> FloatArray | None:
+    """Means of (|i| + ripple)^2 where i follows a held command through one pole; None without the extension.
+
+    Parameters
+    ----------
+    factors : (4, K) of steps of w times their length x: x, exp(-x), (1 - exp(-x)) / x and (1 - exp(-2 x)) / (2 x).
+    before, command : (..., K) i at the start of each step, and the command during it.
+    """
+    if COMPILED is None:
+        return None
+    before, command = (np.ascontiguousarray(each, dtype=float) for each in np.broadcast_arrays(before, command))
+    found, K = np.empty(before.shape), before.shape[-1]
+    given = address(np.ascontiguousarray(factors)), ripple, *map(address, (before, command, found))
+    COMPILED.tr_square_means(before.size // max(K, 1), K, *given)
     return found
 
 
@@ -340,7 +407,7 @@ def strike(
     n, (instants, outputs, courses) = start.shape[0], found.shape
     if COMPILED is None or n > MOST_STATES or outputs > MOST_OUTPUTS:
         return None
-    rows, state = np.ascontiguousarray(rows, dtype=float), np.array(start, dtype=float, order="C")
-    numbers = np.array(contact)
-    COMPILED.tr_struck(instants - 1, n, outputs, courses, *map(address, (rows, numbers, state, found)))
+    (kept, given), state, numbers = sparse(rows), np.array(start, dtype=float, order="C"), np.array(contact)
+    COMPILED.tr_struck(instants - 1, n, outputs, courses, *given, *map(address, (numbers, state, found)))
+    del kept  # their memory was in use until now
     return state

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from transopt.base.errors import InputError
-from transopt.base.recursions import forwards, heated
+from transopt.base.recursions import forwards, heated, square_means
 from transopt.base.signals import FloatArray
 
 COPPER_PER_K = 0.0039  # temperature coefficient of resistance
@@ -42,7 +42,11 @@ def following_square_mean(
     (..., K) means.
     """
     x = np.maximum(decays, np.finfo(float).tiny)
-    left, of_mean, of_square = np.exp(-x), -np.expm1(-x) / x, -np.expm1(-2 * x) / (2 * x)
+    factors = np.stack([x, np.exp(-x), -np.expm1(-x) / x, -np.expm1(-2 * x) / (2 * x)])
+    compiled = square_means(factors, ripple_A, before_A, command_A)
+    if compiled is not None:
+        return compiled
+    _, left, of_mean, of_square = factors
     away = before_A - command_A
     mean = command_A + away * of_mean
     square = command_A * (2 * mean - command_A) + away**2 * of_square

@@ -6,12 +6,12 @@ implicit Runge-Kutta method with a finer step, where the design uses a matrix ex
 Runge-Kutta step is a linear map, the same in every period.
 """
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from transopt.base.recursions import LinearSystem
 from transopt.base.signals import FloatArray
@@ -105,32 +105,6 @@ def _segments(flow: Flow, grid: TimeGrid, halvings: int) -> list[Segment]:
 
 
 @dataclass(frozen=True)
-class Trajectory:
-    """The K samples of each of M taps; as in `Motion`, with p directions or m motors (M, p, K) or (M, m, K).
-
-    Attributes
-    ----------
-    times_s : (K,) times, contact at 0.
-    acceleration_m_s2 : (M, K) y'' of the stylus; (M, 0) if the motion was not requested.
-    plant_input : (M, K) input of the plant.
-    felt : (M, K) command that acts on the amplifier.
-    velocity_m_s : (M, K) dy/dt of the motor mass; (M, 0) if the motion was not requested.
-    outputs : name -> (M, K) further output of the stage model.
-    at_switching : (N,) indices of the samples just after each switching instant.
-    segment_starts : (S,) indices of the first sample of each segment.
-    """
-
-    times_s: FloatArray
-    acceleration_m_s2: FloatArray
-    plant_input: FloatArray
-    felt: FloatArray
-    velocity_m_s: FloatArray
-    outputs: dict[str, FloatArray]
-    at_switching: NDArray[np.intp]
-    segment_starts: NDArray[np.intp]
-
-
-@dataclass(frozen=True)
 class Loop:
     """The closed loop of the walls of M taps with the replay's motion.
 
@@ -176,53 +150,71 @@ class Period:
     Attributes
     ----------
     segments : the two segments.
-    played : from the commands that act to the states x_k at the starts of the periods, followed by the commands of
-        both segments (n + 2 m outputs).
-    accelerating : from the commands that act to y'' (p) at the start of the arriving segment.
-    to_middle : (n, n + 2 m) map of the outputs of `played` to the states at the start of the second segment.
-    to_samples : (R, n + 2 m, K) map of them to the K samples of a period, for every row of the flow.
+    starting : from the commands that act to y'' (p) at the start of the arriving segment and the plant's inputs (2 m)
+        at the starts of both.
+    terms : from them to the terms of y'' there, each of the p with one for every state and for every motor.
+    to_samples : (R + m, n + 2 m, K) map of the states at the start of a period and the commands of its segments to
+        the K samples of the period, for every row of the flow and for every command that acts.
+    acting : (2 m, (1 + late) m) map of the commands that act to those of both segments.
     late : ticks by which the second segment's command was issued after the first's.
     arriving : index of the segment in which a tick's own command begins to act.
     periods : number of simulated periods, until `after_s` after tau_N.
     instants : number of switching instants in window and tail.
+    bounds : numbers of samples before tau_0, up to the one just after tau_(N-1), and up to tau_N.
     """
 
     segments: list[Segment]
-    played: LinearSystem
-    accelerating: LinearSystem
-    to_middle: FloatArray
+    starting: LinearSystem
+    terms: LinearSystem
     to_samples: FloatArray
+    acting: FloatArray
     late: int
     arriving: int
     periods: int
     instants: int
+    bounds: tuple[int, int, int]
 
     @classmethod
     def of(cls, flow: Flow, grid: TimeGrid, halvings: int) -> "Period":
         """A period integrated with a Runge-Kutta step that is halved so many times."""
         segments = _segments(flow, grid, halvings)
         first, second = segments
-        (n, m), late = flow.B.shape, first.behind - second.behind
-        by_command, acting = np.zeros((n, (1 + late) * m)), np.zeros((n + 2 * m, (1 + late) * m))
+        (n, m), p, late = flow.B.shape, flow.tracked, first.behind - second.behind
+        by_command, acting = np.zeros((n, (1 + late) * m)), np.zeros((2 * m, (1 + late) * m))
         by_command[:, :m] += second.P[-1] @ first.Q[-1]
         by_command[:, late * m :] += second.Q[-1]
-        acting[n : n + m, :m] = acting[n + m :, late * m :] = np.eye(m)
+        acting[:m, :m] = acting[m:, late * m :] = np.eye(m)
         to_middle = np.hstack([first.P[-1], first.Q[-1], np.zeros((n, m))])
         to_samples = _to_samples(flow, segments, to_middle)
         # If the delay is a whole number of periods, a command begins to act at a tick, else within the period.
-        arriving = 0 if late == 0 else 1
-        arrives = to_samples[: flow.tracked, :, arriving * first.offsets_s.size]
-        over_period = second.P[-1] @ first.P[-1]
+        arriving, halves = 0 if late == 0 else 1, (0, first.offsets_s.size)
+        starts = [(slice(p), halves[arriving]), *((slice(p, p + m), half) for half in halves)]
+        rows = np.concatenate([to_samples[of, :, sample] for of, sample in starts])
+        arrived = to_middle if arriving else np.eye(n, n + 2 * m)
+        felt = np.eye(m, 2 * m, arriving * m)
+        parts = [
+            np.concatenate([row[:, None] * arrived, by[:, None] * np.hstack([np.zeros((m, n)), felt])])
+            for row, by in zip(flow.rows[:p], flow.direct[:p], strict=True)
+        ]
+        terms, over_period = np.concatenate(parts), second.P[-1] @ first.P[-1]
+        periods = grid.stages + first.behind + int(np.ceil(after_s(grid) / grid.dt_s))
+        times_s = np.add.outer(
+            grid.dt_s * np.arange(periods) - grid.lead_s, np.concatenate([each.offsets_s for each in segments])
+        ).ravel()
+        last = 2 * (segments[arriving].behind + grid.stages - 1) + arriving  # segment that begins at tau_(N-1)
+        begins = int(np.searchsorted(times_s, grid.switching_times_s[0], side="left"))
+        ends = int(np.searchsorted(times_s, grid.end_s, side="right"))
         return cls(
             segments,
-            LinearSystem(over_period, by_command, np.eye(n + 2 * m, n), acting),
-            LinearSystem(over_period, by_command, arrives[:, :n], arrives @ acting),
-            to_middle,
+            LinearSystem(over_period, by_command, rows[:, :n], rows[:, n:] @ acting),
+            LinearSystem(over_period, by_command, terms[:, :n], terms[:, n:] @ acting),
             to_samples,
+            acting,
             late,
             arriving,
-            periods=grid.stages + first.behind + int(np.ceil(after_s(grid) / grid.dt_s)),
+            periods,
             instants=grid.stages + grid.after_stages,
+            bounds=(begins, last * first.offsets_s.size + 1, ends),
         )
 
     @property
@@ -238,16 +230,47 @@ class Period:
         found[..., behind : behind + commands.shape[2]] = commands
         return found
 
+    def sampled(self, rows: FloatArray, offset: Sequence[int] = ()) -> LinearSystem:
+        """From the commands that act, and offsets by `at_knots`, to values at the K samples of a period, r K outputs.
+
+        Parameters
+        ----------
+        rows : (r, R + m) weights of the rows of the flow and of the commands that act.
+        offset : rows to whose values an offset is added, in the order in which their offsets follow the commands.
+        """
+        n, K = self.starting.A.shape[0], self.to_samples.shape[2]
+        values = np.einsum("ro,ozk->rkz", rows, self.to_samples)
+        direct = np.zeros((len(rows), K, self.acting.shape[1] + 3 * len(offset)))
+        direct[..., : self.acting.shape[1]] = values[..., n:] @ self.acting
+        for number, row in enumerate(offset):
+            at = self.acting.shape[1] + 3 * number
+            direct[row, :, at : at + 3] = self._hats
+        by_inputs = np.zeros((n, direct.shape[-1]))
+        by_inputs[:, : self.acting.shape[1]] = self.starting.B
+        by_states = values[..., :n].reshape(-1, n)
+        return LinearSystem(self.starting.A, by_inputs, by_states, direct.reshape(len(by_states), -1))
+
+    @property
+    def _hats(self) -> FloatArray:
+        """(K, 3) weights of `at_knots` at the samples of a period: linear from one switching instant to the next."""
+        times, dt_s = np.concatenate([each.offsets_s for each in self.segments]), self.segments[1].offsets_s[-1]
+        along = (times - self.segments[self.arriving].offsets_s[0]) / dt_s
+        return np.stack([np.maximum(-along, 0.0), 1 - np.abs(along), np.maximum(along, 0.0)], axis=1)
+
+    def at_knots(self, course: FloatArray) -> FloatArray:
+        """(M, 3, periods) values at the switching instants before, in and after each period of (M, up to N + 1)."""
+        knots = np.arange(-1, 2)[:, None] + np.arange(self.periods) - self.at_switching.start
+        return np.asarray(course[:, np.clip(knots, 0, course.shape[1] - 1)])
+
 
 def _to_samples(flow: Flow, segments: list[Segment], to_middle: FloatArray) -> FloatArray:
     """`Period.to_samples`: each segment's samples follow from the states at its start and the command that acts."""
     n, m = flow.B.shape
+    rows, direct = np.vstack([flow.rows, np.zeros((m, n))]), np.vstack([flow.direct, np.eye(m)])
     found = []
     for j, (segment, started) in enumerate(zip(segments, (np.eye(*to_middle.shape), to_middle), strict=True)):
-        by_start = np.einsum("on,snm->oms", flow.rows, segment.P @ started)
-        by_start[:, n + j * m : n + (j + 1) * m] += (
-            np.einsum("on,snm->oms", flow.rows, segment.Q) + flow.direct[..., None]
-        )
+        by_start = np.einsum("on,snm->oms", rows, segment.P @ started)
+        by_start[:, n + j * m : n + (j + 1) * m] += np.einsum("on,snm->oms", rows, segment.Q) + direct[..., None]
         found.append(by_start)
     return np.concatenate(found, axis=2)
 
@@ -272,35 +295,64 @@ class Course:
     acting: FloatArray
     command: FloatArray
 
-    def of(self, taps: slice) -> "Course":
+    def of(self, taps: slice | list[int]) -> "Course":
         """The course of some of the taps."""
         found = Course(self.period, self.acting[taps], self.command[taps])
-        vars(found)["accelerations"] = self.accelerations[taps]
+        vars(found)["starting"] = self.starting[taps]
         return found
 
     @cached_property
-    def given(self) -> FloatArray:
-        """(M, n + 2 m, periods) states at the start of every period, and the commands of its two segments."""
-        return self.period.played.outputs(self.acting)
+    def starting(self) -> FloatArray:
+        """(M, p + 2 m, periods) outputs of `Period.starting`."""
+        return self.period.starting.outputs(self.acting)
 
     @cached_property
     def accelerations(self) -> FloatArray:
         """(M, instants), or (M, p, instants): y'' just after the switching instants of window and tail."""
-        return lone(self.period.accelerating.outputs(self.acting)[..., self.period.at_switching])
+        directions = self.starting.shape[1] - self.period.acting.shape[0]
+        return lone(self.starting[:, :directions, self.period.at_switching])
 
-    def sampled(self, rows: slice, first: int = 0) -> FloatArray:
-        """(M, K), or (M, r, K) of r rows of the flow: their values at all samples of the periods from `first` on."""
-        given = np.swapaxes(self.given[..., first:], 1, 2)
-        found = [(given @ to_samples).reshape(len(given), -1) for to_samples in self.period.to_samples[rows]]
-        return found[0] if len(found) == 1 else np.stack(found, axis=1)
+    def inputs(self, arriving: int) -> FloatArray:
+        """(M, m, periods) plant's inputs at the start of each period's first, 0, or second segment."""
+        motors = self.period.acting.shape[0] // 2
+        return self.starting[:, -2 * motors :][:, arriving * motors :][:, :motors]
 
     def rounding(self, flow: Flow) -> FloatArray:
         """(M,) rounding error of y'' there: `ROUNDING` times the largest sum of the absolute values of its terms."""
-        period, given, (n, m), p = self.period, self.given[..., self.period.at_switching], flow.B.shape, flow.tracked
-        states = period.to_middle @ given if period.arriving else given[:, :n]
-        felt = given[:, n + period.arriving * m :][:, :m]
-        terms = np.abs(flow.rows[:p]) @ np.abs(states) + np.abs(flow.direct[:p]) @ np.abs(felt)
-        return np.asarray(ROUNDING * terms.max(axis=(1, 2)))
+        acting = self.acting[..., : self.period.at_switching.stop]
+        return np.asarray(ROUNDING * self.period.terms.largest(acting, terms=sum(flow.B.shape))[0].max(axis=1))
+
+    def reached(
+        self, rows: FloatArray, offsets: Mapping[int, FloatArray], after: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Largest absolute values at all samples of the parts of a course that `Period.bounds` separate.
+
+        Parameters
+        ----------
+        rows : (r, R + m) values, see `Period.sampled`. offsets : row -> (M, up to N + 1) part of its value, linear
+            from one switching instant to the next, constant before the first and after the last.
+        after : (a, R + m) further values that are wanted after tau_N only.
+
+        Returns
+        -------
+        (M, r, 4) and (M, a) largest values; 0 for a part without a sample.
+        """
+        period, (M, _, periods), K = self.period, self.acting.shape, self.period.to_samples.shape[2]
+        inputs = np.concatenate([self.acting, *map(period.at_knots, offsets.values())], axis=1)
+        early, late = (period.sampled(of, [*offsets]) for of in (rows, np.vstack([rows, after])))
+        cuts = {0, periods, *(min(-(-bound // K), periods) for bound in period.bounds)}
+        cuts |= {min(bound // K, periods) for bound in period.bounds}
+        found, states = np.zeros((M, len(rows) + len(after), 4)), np.zeros((M, period.starting.A.shape[0]))
+        for first, last in itertools.pairwise(sorted(cuts)):
+            # Either one period or several between two bounds, whose samples all belong to the same part.
+            part = np.searchsorted(period.bounds, first * K + np.arange(K), side="right")
+            system = late if part[-1] == len(period.bounds) else early
+            values, states = system.largest(inputs[..., first:last], states)
+            values = values.reshape(M, -1, K)
+            for each in set(part.tolist()):
+                kept = found[:, : values.shape[1], each]
+                np.maximum(kept, values[..., part == each].max(axis=2), out=kept)
+        return found[:, : len(rows)], found[:, len(rows) :, -1]
 
 
 def _play(
@@ -312,7 +364,7 @@ def _play(
     # Before the first command and after the waveform the command is zero, or the wall's feedback.
     issued = period.issued(commands.reshape(M, -1, N))
     if loop is not None:
-        x, step, only = np.zeros((M, flow.A.shape[0])), period.played, issued[:, 0]
+        x, step, only = np.zeros((M, flow.A.shape[0])), period.starting, issued[:, 0]
         feedback = loop.start(stage, grid.dt_s)
         for k in range(periods):
             only[:, behind + k] += feedback.step(loop.read(k, x @ flow.encoder))
@@ -325,35 +377,6 @@ def _play(
 def after_s(grid: TimeGrid) -> float:
     """Simulated time after the waveform: at least `AFTER_S`, and the problem's whole tail."""
     return max(AFTER_S, grid.after_stages * grid.dt_s)
-
-
-def fine(course: Course, flow: Flow, grid: TimeGrid, *, moving: bool = True) -> Trajectory:
-    """All samples of a course: `SAMPLES_PER_PERIOD` per period, and the start of each segment.
-
-    Parameters
-    ----------
-    moving : whether the motion is requested: y'', the velocity of the motor mass and the further outputs.
-    """
-    period, (n, m), p = course.period, flow.B.shape, flow.tracked
-    samples, M, periods = period.segments[0].offsets_s.size, len(course.acting), period.periods
-    acting = course.given[:, n:].reshape(M, 2, m, periods).transpose(0, 2, 3, 1)
-    starts, ticks = samples * np.arange(2 * periods), grid.dt_s * np.arange(periods) - grid.lead_s
-    offsets = np.concatenate([segment.offsets_s for segment in period.segments])
-    nothing, outputs = np.empty((M, m, 0)), dict[str, FloatArray]()
-    with np.errstate(over="ignore", invalid="ignore"):  # the loop of an unstable wall overflows
-        if moving:
-            further = enumerate(flow.names, p + 2 * m)
-            outputs = {name: course.sampled(slice(row, row + 1)) for row, name in further}
-        return Trajectory(
-            times_s=(ticks[:, None] + offsets).ravel(),
-            acceleration_m_s2=course.sampled(slice(p)) if moving else nothing[:, 0],
-            plant_input=course.sampled(slice(p, p + m)),
-            felt=lone(np.repeat(acting, samples, axis=3).reshape(M, m, -1)),
-            velocity_m_s=course.sampled(slice(p + m, p + 2 * m)) if moving else lone(nothing),
-            outputs=outputs,
-            at_switching=starts[period.arriving :: 2][period.at_switching][: grid.stages],
-            segment_starts=starts,
-        )
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ neither its splitting nor its steps.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,16 +15,16 @@ from scipy.integrate import solve_ivp
 
 from transopt.base.arithmetic import NUMPY
 from transopt.base.signals import FloatArray
-from transopt.plant.discretise import StageModel
+from transopt.plant.discretise import Motion, StageModel
 from transopt.plant.nonlinear_stage import NonlinearStage
 from transopt.plant.state_space import VELOCITY
 from transopt.plant.time_grid import TimeGrid
-from transopt.problem.limits.limit import Limits
+from transopt.problem.limits.limit import Limit, Limits
 from transopt.problem.nonlinear import NonlinearProblem
 from transopt.problem.objective.figures import Yardstick
 from transopt.problem.objective.target import Target
-from transopt.proof.continuous import Trajectory, after_s, peak_scale
-from transopt.proof.replay import Replay, largest_reached
+from transopt.proof.continuous import after_s, peak_scale
+from transopt.proof.replay import Played, Replay
 
 SAMPLES = 4  # per servo period
 RELATIVE = 1e-9  # relative tolerance of the integrator
@@ -95,20 +95,51 @@ def _integrated(
     return _Course(times, np.moveaxis(states.reshape(samples, n, M), 0, -1).swapaxes(0, 1), felt.T, instants)
 
 
-def _trajectory(stage: NonlinearStage, grid: TimeGrid, course: _Course) -> Trajectory:
+@dataclass(frozen=True)
+class _Trajectory:
+    """The K samples of each of M taps, as in `Motion`.
+
+    Attributes
+    ----------
+    times_s : (K,) times, contact at 0.
+    motion : (M, K) each; that of the encoder is left out.
+    felt : (M, K) command that acts on the amplifier.
+    at_switching : (N,) indices of the samples just after each switching instant.
+    """
+
+    times_s: FloatArray
+    motion: Motion
+    felt: FloatArray
+    at_switching: NDArray[np.intp]
+
+
+def _trajectory(stage: NonlinearStage, grid: TimeGrid, course: _Course) -> _Trajectory:
     states = list(course.states.swapaxes(0, 1))
     _, u = stage.split(states, course.felt)
     rows = {name: np.einsum("j,mjk->mk", row, course.states) for name, row in stage.rows.items()}
-    return Trajectory(
-        times_s=course.times_s,
-        acceleration_m_s2=np.asarray(stage.acceleration(states, course.felt, NUMPY)),
-        plant_input=np.array(u),
-        felt=course.felt,
-        velocity_m_s=rows[VELOCITY],
-        outputs=rows,
-        at_switching=course.instants[: grid.stages],
-        segment_starts=course.instants[: grid.stages],
-    )
+    acceleration = np.asarray(stage.acceleration(states, course.felt, NUMPY))
+    motion = Motion(acceleration, np.array(u), rows[VELOCITY], np.zeros(0), rows)
+    return _Trajectory(course.times_s, motion, course.felt, course.instants[: grid.stages])
+
+
+def _reached(run: _Trajectory, limit: Limit, posed: Played) -> tuple[FloatArray, FloatArray]:
+    """(M,) largest absolute values that a limit bounds, in all and up to tau_(N-1)."""
+    grid, taps = posed.grid, len(run.felt)
+    instants = np.append(grid.switching_times_s, grid.end_s)
+    # A switching instant has two samples, just before and just after it; the later one has its command.
+    first, over, last = 0, int(run.at_switching[-1]) + 1, run.times_s.size
+    if not limit.after_the_waveform:
+        first = int(np.searchsorted(run.times_s, grid.switching_times_s[0], side="left"))
+        last = int(np.searchsorted(run.times_s, grid.end_s, side="right"))
+    early, late = np.zeros(taps), np.zeros(taps)
+    for row in limit.watched(posed):
+        offset = row.offset
+        if isinstance(offset, np.ndarray):
+            offset = np.interp(run.times_s, instants[: offset.size], offset)
+        values = np.abs(replace(row, offset=offset).value(run.motion, run.felt))
+        early = np.maximum(early, values[:, first:over].max(axis=1) / row.share)
+        late = np.maximum(late, values[:, over:last].max(axis=1, initial=0.0) / row.share)
+    return np.maximum(early, late), early
 
 
 def replay_nonlinear(problem: NonlinearProblem, commands: Sequence[FloatArray]) -> list[Replay]:
@@ -156,21 +187,22 @@ def played_nonlinear(
         course = _integrated(stage, grid, played, sizes, RELATIVE)
         coarse = _integrated(stage, grid, played, sizes, COARSER * RELATIVE)
         run, other = (_trajectory(stage, grid, each) for each in (course, coarse))
-        found, before = (each.acceleration_m_s2[:, course.instants] for each in (run, other))
+        found, before = (each.motion.acceleration_m_s2[:, course.instants] for each in (run, other))
         error = np.abs(found - before).max(axis=1) / peak_scale(np.abs(found).max(axis=1), 0.0)
-        limits = largest_reached([run], [watched] * len(played), (at_rest,), grid)
+        posed = Played((at_rest,), grid, watched)
+        reached = {limit.name: _reached(run, limit, posed) for limit in watched}
     later = run.times_s > grid.end_s
     return [
         Replay(
             acceleration_m_s2=found[m, :N],
-            plant_input=run.plant_input[m, course.instants[:N]],
+            plant_input=run.motion.plant_input[m, course.instants[:N]],
             figures=yardstick.figures(target, found[m]),
             after_m_s2=found[m, N:],
-            peak_input=float(np.abs(run.plant_input[m]).max()),
+            peak_input=float(np.abs(run.motion.plant_input[m]).max()),
             peak_command=float(np.abs(played[m]).max()),
-            after_peak_m_s2=float(np.abs(run.acceleration_m_s2[m, later]).max()),
-            reached=limits[m][0],
-            reached_while_stated=limits[m][1],
+            after_peak_m_s2=float(np.abs(run.motion.acceleration_m_s2[m, later]).max()),
+            reached={name: float(whole[m]) for name, (whole, _) in reached.items()},
+            reached_while_stated={name: float(early[m]) for name, (_, early) in reached.items()},
             winding_C=float("nan"),
             housing_C=float("nan"),
             command=played[m],

@@ -4,8 +4,8 @@
 every fine step.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,30 +14,18 @@ from transopt.base.signals import FloatArray
 from transopt.base.threads import one_blas_thread
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel, effective_square, following_square_mean
-from transopt.plant.discretise import Motion, StageModel
+from transopt.plant.discretise import StageModel
 from transopt.plant.time_grid import TimeGrid
 from transopt.plant.wall import HandOver
 from transopt.problem.heat import Budget
 from transopt.problem.limits.limit import Limit, Limits, tolerated
-from transopt.problem.limits.row import COMMAND, INPUT
+from transopt.problem.limits.row import COMMAND, INPUT, VELOCITY, Row
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.figures import Figures, Yardstick
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
-from transopt.proof.continuous import (
-    AGREEMENT,
-    Accurate,
-    Course,
-    Loop,
-    Trajectory,
-    accurate,
-    fine,
-    largest,
-    peak_scale,
-)
+from transopt.proof.continuous import AGREEMENT, Accurate, Course, Loop, accurate, largest, lone, peak_scale
 from transopt.proof.flow import Flow
-
-COMMANDS_AT_ONCE = 16  # their samples fit into the processor's cache
 
 
 @dataclass(frozen=True)
@@ -136,63 +124,6 @@ def figures_of(simulated: Accurate, yardstick: Yardstick, targets: Sequence[Targ
         return yardstick.figures_of(targets, simulated.acceleration_m_s2)
 
 
-def largest_reached(
-    runs: Sequence[Trajectory], limits: Sequence[Limits], devices: tuple[StageModel, ...], grid: TimeGrid
-) -> list[tuple[dict[str, float], dict[str, float]]]:
-    """For each command and limit, the largest absolute value that it bounds, in all and up to tau_(N-1).
-
-    Parameters
-    ----------
-    runs : the same commands on the entry's own device and, if a limit depends on them, on those of its spread.
-    devices : the devices of `runs`; further ones are not used.
-    """
-    found: list[tuple[dict[str, float], dict[str, float]]] = [({}, {}) for _ in limits]
-    for limit, commands in alike(limits):
-        reached = _reached(runs, limit, commands, Played(devices, grid, limits[commands[0]]))
-        for m, (whole, early) in zip(commands, reached, strict=True):
-            found[m][0][limit.name], found[m][1][limit.name] = whole, early
-    return found
-
-
-def _reached(
-    runs: Sequence[Trajectory], limit: Limit, commands: list[int], posed: "Played"
-) -> list[tuple[float, float]]:
-    """For each of these commands the largest absolute value that a limit bounds, in all and up to tau_(N-1)."""
-    run, grid = runs[0], posed.grid
-    instants = np.append(grid.switching_times_s, grid.end_s)
-    # A switching instant has two samples, just before and just after it; the later one has its command.
-    at, over = slice(0, run.times_s.size), int(run.at_switching[-1]) + 1
-    if not limit.after_the_waveform:
-        begins = int(np.searchsorted(run.times_s, grid.switching_times_s[0], side="left"))
-        at = slice(begins, int(np.searchsorted(run.times_s, grid.end_s, side="right")))
-    taps = slice(None) if len(commands) == run.felt.shape[0] else commands
-    whole, early = np.zeros((2, len(commands)))
-    for row in limit.watched(posed):
-        offset = row.offset
-        if isinstance(offset, np.ndarray):
-            offset = np.interp(run.times_s[at], instants[: offset.size], offset)
-        values = replace(row, offset=offset).value(_motion(runs[row.device], taps, at), run.felt[taps][..., at])
-        early = np.maximum(early, largest(values[:, : over - at.start]) / row.share)
-        whole = np.maximum(whole, largest(values[:, over - at.start :]) / row.share)
-    return list(zip(np.maximum(whole, early).tolist(), early.tolist(), strict=True))
-
-
-def _motion(run: Trajectory, taps: slice | list[int], at: slice) -> Motion:
-    """The motion of some taps at some samples."""
-    acceleration, velocity = (each[taps][..., at] for each in (run.acceleration_m_s2, run.velocity_m_s))
-    outputs = {name: values[taps, at] for name, values in run.outputs.items()}
-    return Motion(acceleration, run.plant_input[taps][..., at], velocity, np.zeros(0), outputs)
-
-
-def alike(limits: Sequence[Limits]) -> list[tuple[Limit, list[int]]]:
-    """Every limit with the indices of the members of `limits` that have it."""
-    found: dict[object, tuple[Limit, list[int]]] = {}
-    for m, of_entry in enumerate(limits):
-        for limit in of_entry:
-            found.setdefault(limit if limit.is_hashable else id(limit), (limit, []))[1].append(m)
-    return list(found.values())
-
-
 @dataclass(frozen=True)
 class Played:
     """The part of a problem that limits read to state their rows."""
@@ -206,23 +137,110 @@ class Played:
         return self.devices[0]
 
 
-def _moves(limit: Limit, posed: Played) -> bool:
-    """Whether a limit depends on anything but input and command."""
-    return any(not row.linear or set(row.outputs) - {INPUT, COMMAND} for row in limit.watched(posed))
+@dataclass(frozen=True)
+class _Watched:
+    """A row that a limit bounds at all times: its weights in `Period.sampled`, and the length of its offset."""
+
+    limit: str
+    device: int
+    weights: tuple[float, ...]
+    moves: int
+    share: float
+    late: bool
+
+    @classmethod
+    def of(cls, limit: Limit, row: Row, flow: Flow) -> "_Watched":
+        motors, j = flow.B.shape[1], row.motor or 0
+        place = {INPUT: flow.tracked + j, VELOCITY: flow.tracked + motors + j, COMMAND: len(flow.rows) + j}
+        place |= {name: flow.tracked + 2 * motors + i for i, name in enumerate(flow.names)}
+        weights = np.zeros(len(flow.rows) + motors)
+        for output, by in row.outputs.items():
+            weights[place[output]] += by
+        moves = np.size(row.offset) if np.any(row.offset) else 0
+        return cls(limit.name, row.device, tuple(weights.tolist()), moves, row.share, limit.after_the_waveform)
+
+
+def _alike(
+    limits: Sequence[Limits], devices: tuple[StageModel, ...], flow: Flow, grid: TimeGrid
+) -> Iterator[tuple[list[int], tuple[_Watched, ...], list[list[Row]]]]:
+    """The members of `limits` that bound the same rows up to their offsets, with their rows."""
+    known, groups = dict[object, list[tuple[_Watched, Row]]](), dict[tuple[_Watched, ...], list[int]]()
+    rows = list[list[Row]]()
+    for m, of_entry in enumerate(limits):
+        bounded = list[tuple[_Watched, Row]]()
+        for limit in of_entry:
+            key = limit if limit.is_hashable else id(limit)
+            if key not in known:
+                watched = limit.watched(Played(devices, grid, of_entry))
+                known[key] = [(_Watched.of(limit, row, flow), row) for row in watched]
+            bounded += known[key]
+        groups.setdefault(tuple(watched for watched, _ in bounded), []).append(m)
+        rows.append([row for _, row in bounded])
+    for alike, members in groups.items():
+        yield members, alike, [rows[m] for m in members]
+
+
+def _peaks(
+    runs: Sequence[Accurate], limits: Sequence[Limits], devices: tuple[StageModel, ...], grid: TimeGrid
+) -> list[tuple[dict[str, float], dict[str, float], float, float]]:
+    """For each command the largest absolute value that each limit bounds, in all and up to tau_(N-1).
+
+    After these the largest absolute values of the plant's input and, after tau_N, of y''.
+
+    Parameters
+    ----------
+    runs : the same commands on the entry's own device and, if a limit depends on them, on those of its spread.
+    devices : the devices of `runs`; further ones are not used.
+    """
+    flow = runs[0].flow
+    (R, _), (_, m), p = flow.rows.shape, flow.B.shape, flow.tracked
+    own = np.eye(R + m)
+    found: list[tuple[dict[str, float], dict[str, float], float, float]] = [({}, {}, 0.0, 0.0)] * len(limits)
+    for taps, watched, rows in _alike(limits, devices, flow, grid):
+        whole = {each.limit: np.zeros(len(taps)) for each in watched}
+        whole |= {limit.name: np.zeros(len(taps)) for limit in limits[taps[0]]}
+        early = {name: values.copy() for name, values in whole.items()}
+        for number, run in enumerate(runs):
+            of_device = [i for i, each in enumerate(watched) if each.device == number]
+            inputs, after = (own[p : p + m], own[:p]) if number == 0 else (own[:0], own[:0])
+            weights = np.array([watched[i].weights for i in of_device]).reshape(-1, R + m)
+            moved = {
+                j: np.array([np.atleast_1d(of_tap[i].offset) for of_tap in rows])
+                for j, i in enumerate(of_device, start=len(inputs))
+                if watched[i].moves
+            }
+            with np.errstate(over="ignore", invalid="ignore"):  # the loop of an unstable wall overflows
+                course = run.course if len(taps) == len(limits) else run.course.of(taps)
+                values, lasting = course.reached(np.vstack([inputs, weights]), moved, after)
+            if number == 0:
+                peaks = values[:, :m].max(axis=(1, 2)), lasting.max(axis=1)
+            for j, i in enumerate(of_device, start=len(inputs)):
+                each, value = watched[i], values[:, j] / watched[i].share
+                # Limits that a wall cannot exceed after the waveform have no meaning before it either.
+                of_early, of_whole = (value[:, :2], value) if each.late else (value[:, 1:2], value[:, 1:3])
+                np.maximum(early[each.limit], of_early.max(axis=1), out=early[each.limit])
+                np.maximum(whole[each.limit], of_whole.max(axis=1), out=whole[each.limit])
+        columns = [np.stack([*of.values()], axis=1).tolist() if of else [[]] * len(taps) for of in (whole, early)]
+        for tap, row, row_early, of_input, later in zip(taps, *columns, *(x.tolist() for x in peaks), strict=True):
+            found[tap] = dict(zip(whole, row, strict=True)), dict(zip(early, row_early, strict=True)), of_input, later
+    return found
 
 
 def _temperatures(
-    run: Trajectory, amplifier: Amplifier | None, coil: CoilModel, budgets: Sequence[Budget] | None, grid: TimeGrid
+    course: Course, amplifier: Amplifier | None, coil: CoilModel, budgets: Sequence[Budget] | None, grid: TimeGrid
 ) -> tuple[FloatArray, FloatArray]:
     """(M,) highest winding and housing temperature each, up to tau_N."""
-    starts = run.times_s[run.segment_starts]
-    playing = starts < grid.end_s - 1e-9 * grid.dt_s
-    first, lengths = run.segment_starts[playing], np.diff(starts, append=run.times_s[-1])[playing]
+    period, (M, _, periods) = course.period, course.acting.shape
+    offsets = [segment.offsets_s[0] for segment in period.segments]
+    starts = np.add.outer(grid.dt_s * np.arange(periods) - grid.lead_s, offsets).ravel()
+    playing = int(np.searchsorted(starts, grid.end_s - 1e-9 * grid.dt_s))
+    lengths = np.diff(starts[: playing + 1])
     # One step per segment is exact, as the command is constant within it.
-    before, felt = run.plant_input[:, first], run.felt[:, first]
+    before = np.stack([course.inputs(0)[:, 0], course.inputs(1)[:, 0]], axis=2).reshape(M, -1)[:, :playing]
     if amplifier is None:
         heat = effective_square(before, coil.ripple_A)
     else:
+        felt = course.acting[:, [0, period.late]].swapaxes(1, 2).reshape(M, -1)[:, :playing]
         heat = following_square_mean(before, felt, amplifier.rate_rad_s * lengths, coil.ripple_A)
     rate_Hz = None if budgets is None else budgets[0].tap_rate_Hz
     if budgets is None or rate_Hz is None:
@@ -272,16 +290,41 @@ def replay(
     if simulated is None:
         loop = None if walls is None else Loop(walls, count_m)
         simulated = accurate(stage, grid, commands, loop)
-    yardstick = Yardstick(grid) if yardstick is None else yardstick
-    devices, found = (stage, *spread), list[Replay]()
-    for taps in np.array_split(np.arange(len(commands)), -(-len(commands) // COMMANDS_AT_ONCE)):
-        part = slice(int(taps[0]), int(taps[-1]) + 1)
-        some = simulated.of(part)
-        figures = figures_of(some, yardstick, targets[part])
-        its_limits = None if limits is None else limits[part]
-        its_budgets = None if budgets is None else budgets[part]
-        found += _replays(devices, grid, commands[part], figures, coil, its_limits, its_budgets, some)
-    return found
+    figures = figures_of(simulated, Yardstick(grid) if yardstick is None else yardstick, targets)
+    course, step_error, limits = simulated.course, simulated.step_error, limits or [Limits()] * len(commands)
+    runs, rounding = [simulated], course.rounding(simulated.flow)
+    acceleration, later = np.split(simulated.acceleration_m_s2, [grid.stages], axis=-1)
+    plant_input = lone(course.inputs(course.period.arriving))[..., course.period.at_switching][..., : grid.stages]
+    winding = housing = np.full(len(commands), np.nan)
+    if coil is not None:
+        winding, housing = _temperatures(course, stage.amplifier, coil, budgets, grid)
+    if any(limit.of_each_device for of_entry in limits for limit in of_entry):
+        runs += [accurate(device, grid, commands, None) for device in spread]
+        step_error = np.max([run.step_error for run in runs], axis=0)
+    reached = _peaks(runs, limits, (stage, *spread), grid)
+    numbers = np.stack([largest(course.command), winding, housing, rounding, step_error], axis=1).tolist()
+    return [
+        Replay(
+            acceleration_m_s2=acceleration[m],
+            plant_input=plant_input[m],
+            figures=figures[m],
+            after_m_s2=later[m],
+            peak_input=peak_input,
+            peak_command=peak_command,
+            after_peak_m_s2=after_peak,
+            reached=whole,
+            reached_while_stated=early,
+            winding_C=winding_C,
+            housing_C=housing_C,
+            command=course.command[m],
+            rounding_m_s2=off,
+            step_error=by_step,
+        )
+        for m, (
+            (whole, early, peak_input, after_peak),
+            (peak_command, winding_C, housing_C, off, by_step),
+        ) in enumerate(zip(reached, numbers, strict=True))
+    ]
 
 
 def replayed(
@@ -313,62 +356,3 @@ def replayed(
         spread=first.spread,
         yardstick=first.yardstick,
     )
-
-
-def _replays(
-    devices: tuple[StageModel, ...],
-    grid: TimeGrid,
-    commands: FloatArray,
-    figures: Sequence[Figures],
-    coil: CoilModel | None,
-    limits: Sequence[Limits] | None,
-    budgets: Sequence[Budget] | None,
-    simulated: Accurate,
-) -> list[Replay]:
-    """`replay` of commands that were simulated already, on the first device and those of the spread."""
-    stage, course, flow, step_error = devices[0], simulated.course, simulated.flow, simulated.step_error
-    moving = limits is not None and any(
-        _moves(limit, Played(devices, grid, limits[at[0]])) for limit, at in alike(limits)
-    )
-    run = fine(course, flow, grid, moving=moving)
-    runs, rounding = [run], course.rounding(flow)
-    acceleration, later = np.split(simulated.acceleration_m_s2, [grid.stages], axis=-1)
-    winding = housing = np.full(len(commands), np.nan)
-    if coil is not None:
-        winding, housing = _temperatures(run, stage.amplifier, coil, budgets, grid)
-    if limits is not None and any(limit.of_each_device for of_entry in limits for limit in of_entry):
-        for device in devices[1:]:
-            its_own = accurate(device, grid, commands, None)
-            runs.append(fine(its_own.course, its_own.flow, grid))
-            step_error = np.maximum(step_error, its_own.step_error)
-    reached = [({}, {})] * len(commands) if limits is None else largest_reached(runs, limits, devices, grid)
-    after = _after_peak(course, flow, run.times_s, grid)
-    peaks = map(largest, (run.plant_input, course.command))
-    numbers = np.stack([*peaks, after, winding, housing, rounding, step_error], axis=1).tolist()
-    return [
-        Replay(
-            acceleration_m_s2=acceleration[m],
-            plant_input=run.plant_input[m][..., run.at_switching],
-            figures=figures[m],
-            after_m_s2=later[m],
-            peak_input=peak_input,
-            peak_command=peak_command,
-            after_peak_m_s2=after_peak,
-            reached=reached[m][0],
-            reached_while_stated=reached[m][1],
-            winding_C=winding_C,
-            housing_C=housing_C,
-            command=course.command[m],
-            rounding_m_s2=off,
-            step_error=by_step,
-        )
-        for m, (peak_input, peak_command, after_peak, winding_C, housing_C, off, by_step) in enumerate(numbers)
-    ]
-
-
-def _after_peak(course: Course, flow: Flow, times_s: FloatArray, grid: TimeGrid) -> FloatArray:
-    """(M,) largest |y''| after the waveform, at the samples after tau_N."""
-    first = int(np.searchsorted(times_s, grid.end_s, side="right"))
-    period, sample = divmod(first, times_s.size // course.period.periods)
-    with np.errstate(over="ignore", invalid="ignore"):  # the loop of an unstable wall overflows
-        return largest(course.sampled(slice(flow.tracked), period)[..., sample:])

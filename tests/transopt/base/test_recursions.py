@@ -8,6 +8,7 @@ from scipy.interpolate import CubicSpline
 from transopt.base import recursions
 from transopt.base.recursions import (
     CHUNK,
+    MOST_LARGEST,
     MOST_STATES,
     MOST_WIDTH,
     LinearSystem,
@@ -117,6 +118,36 @@ def test_a_linear_system_too_wide_to_be_compiled() -> None:
     system = LinearSystem(np.zeros((1, 1)), np.ones((1, 1)), np.ones((MOST_WIDTH, 1)), np.zeros((MOST_WIDTH, 1)))
     np.testing.assert_allclose(system.outputs(inputs)[:, 1:], np.tile(inputs[:, :-1], (MOST_WIDTH, 1)))
     np.testing.assert_allclose(system.transposed(np.ones((MOST_WIDTH, 20)))[0, :-1], MOST_WIDTH)
+
+
+@pytest.mark.parametrize("M", [1, 3, 8, 33])
+@pytest.mark.parametrize("terms", [1, 3])
+def test_the_largest_outputs_are_those_of_all_outputs(M: int, terms: int) -> None:
+    random = np.random.default_rng(M)
+    A, B, C, D = (0.3 * random.standard_normal(of) for of in ((3, 3), (3, 2), (6, 3), (6, 2)))
+    C[4], D[4] = 0.0, 0.0
+    system, inputs = LinearSystem(A, B, C, D), random.standard_normal((M, 2, 40))
+    inputs[M // 2, 1, 5:7] = np.nan
+    sums = np.abs(system.outputs(inputs)).reshape(M, -1, terms, 40).sum(axis=2)
+    found, states = system.largest(inputs, terms=terms)
+    np.testing.assert_allclose(
+        found[inputs[:, 1, 5] < np.inf], sums.max(axis=2)[inputs[:, 1, 5] < np.inf], rtol=1e-13
+    )
+    assert np.isnan(found[M // 2, 0])
+    # In two parts, of which the second goes on where the first ended; before the NaN there is none.
+    first, between = system.largest(inputs[..., :5], terms=terms)
+    second, last = system.largest(inputs[..., 5:], between, terms=terms)
+    assert np.isfinite(first).all()
+    np.testing.assert_allclose(np.maximum(first, second), found, rtol=1e-13)
+    np.testing.assert_allclose(last, states, rtol=1e-13)
+
+
+def test_the_largest_of_more_outputs_than_are_compiled() -> None:
+    q, inputs = MOST_LARGEST + 1, np.random.default_rng(0).standard_normal((2, 1, 20))
+    system = LinearSystem(np.zeros((1, 1)), np.ones((1, 1)), np.ones((q, 1)), np.zeros((q, 1)))
+    found, states = system.largest(inputs)
+    np.testing.assert_allclose(found, np.tile(np.abs(inputs[..., :-1]).max(axis=2), (1, q)))
+    np.testing.assert_allclose(states, inputs[..., -1])
 
 
 def test_a_linear_system_in_extended_precision() -> None:

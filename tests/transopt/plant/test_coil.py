@@ -107,6 +107,17 @@ def test_a_step_without_length_heats_as_its_current() -> None:
 
 
 @pytest.mark.skipif(recursions.COMPILED is None, reason="the extension is not built")
+def test_heat_is_the_same_with_and_without_the_extension(monkeypatch: pytest.MonkeyPatch) -> None:
+    random = np.random.default_rng(0)
+    before, command, decays = random.uniform(-3, 3, (4, 70)), random.uniform(-3, 3, (4, 70)), random.uniform(0, 9, 70)
+    before[1, 3], command[2, 50], decays[7] = np.nan, np.inf, 0.0
+    with np.errstate(invalid="ignore"):
+        compiled = following_square_mean(before, command, decays, 0.05)
+        monkeypatch.setattr(recursions, "COMPILED", None)
+        np.testing.assert_allclose(compiled, following_square_mean(before, command, decays, 0.05), rtol=1e-12)
+
+
+@pytest.mark.skipif(recursions.COMPILED is None, reason="the extension is not built")
 @pytest.mark.parametrize("nodes", [1, 2])
 @pytest.mark.parametrize(("tau_w_s", "tau_h_s"), [(7.5, 700.0), (1e-6, 1e-5), (1e3, 1e-4)])
 def test_temperatures_are_the_same_with_and_without_the_extension(

@@ -9,7 +9,7 @@
 #include <stdint.h>
 #include <string.h>
 
-enum { MOST_STATES = 64, MOST_WIDTH = 96, WIDE = 8 };
+enum { MOST_STATES = 64, MOST_WIDTH = 96, MOST_LARGEST = 192, WIDE = 8 };
 
 #if defined(__GNUC__)
 #define ALWAYS_INLINE static inline __attribute__((always_inline))
@@ -120,67 +120,123 @@ ALWAYS_INLINE void outputs_of(const size_t count, const int m, const int inputs,
     }
 }
 
-/* The widest row of a linear system that these functions take. */
+/* The widest row of a linear system that these functions take, and the most outputs of which they keep the largest. */
 int tr_most_width(void) { return MOST_WIDTH; }
+int tr_most_largest(void) { return MOST_LARGEST; }
 
-/* As `outputs_of`, for `used` courses side by side, at most ABREAST: u (used, inputs, count), y (used, outputs, count). */
-#define ABREAST_ARGUMENTS                                                                                            \
-    const size_t count, const int m, const int inputs, const int outputs, const int width, const double *restrict S, \
-        const double *restrict u, double *restrict y, const int back, const size_t used
-typedef void abreast_of(ABREAST_ARGUMENTS);
+/* Time series processed side by side: up to four registers of the widest kind. One alone would wait for its own results
+ * most of the time. */
+enum { REGISTERS = 4, LANES = REGISTERS * ABREAST };
+typedef struct {
+    wide in[REGISTERS];
+} lanes;
 
-ALWAYS_INLINE void abreast(ABREAST_ARGUMENTS)
+/* An entry of a sparse matrix. */
+struct entry {
+    int column;
+    double value;
+};
+
+/* The sum of a sparse row over the vector z in the lanes of the first registers. */
+ALWAYS_INLINE void sum_of(const int registers, const struct entry *at, const struct entry *end, const lanes *z, lanes *to)
 {
-    wide z[2 * MOST_WIDTH], next[MOST_WIDTH]; /* states and inputs; next states and outputs */
-    double column[ABREAST] = {0};
-    memset(z, 0, sizeof z);
+    wide sum[REGISTERS];
+    for (int r = 0; r < registers; r++) sum[r] = at->value * z[at->column].in[r];
+    while (++at < end)
+        for (int r = 0; r < registers; r++) sum[r] += at->value * z[at->column].in[r];
+    for (int r = 0; r < registers; r++) to->in[r] = sum[r];
+}
+
+#define COURSES_ARGUMENTS                                                                                            \
+    const size_t count, const int m, const int inputs, const int outputs, const int terms, const int *starts,        \
+        const struct entry *entries, const double *u, double *y, double *state, const int back, const size_t used
+typedef void courses_of(COURSES_ARGUMENTS);
+
+/* One block of up to LANES courses in this many registers, see `tr_courses` and, if `terms`, `tr_largest`. */
+ALWAYS_INLINE void courses_in(const int registers, COURSES_ARGUMENTS)
+{
+    lanes z[MOST_WIDTH + MOST_STATES], next[MOST_STATES], sum;
+    double column[LANES] = {0}, whole[LANES], most[MOST_LARGEST][LANES];
+    const int side_by_side = registers * ABREAST;
+    memset(z, 0, (size_t)(inputs + m) * sizeof *z);
+    if (terms) memset(most, 0, (size_t)(outputs / terms) * sizeof *most);
+    for (int i = 0; i < m && state; i++) {
+        for (size_t c = 0; c < used; c++) column[c] = state[c * (size_t)m + (size_t)i];
+        memcpy(z + inputs + i, column, sizeof column);
+    }
     for (size_t s = 0; s < count; s++) {
         const size_t k = back ? count - 1 - s : s;
         for (int i = 0; i < inputs; i++) {
             for (size_t c = 0; c < used; c++) column[c] = u[(c * (size_t)inputs + (size_t)i) * count + k];
-            memcpy(z + m + i, column, sizeof column);
+            memcpy(z + i, column, sizeof column);
         }
-        for (int row = 0; row < m + outputs; row++) {
-            wide sum = S[m * width + row] * z[m];
-            for (int i = 1; i < inputs; i++) sum += S[(m + i) * width + row] * z[m + i];
-            for (int j = 0; j < m; j++) sum += S[j * width + row] * z[j];
-            next[row] = sum;
-        }
-        memcpy(z, next, (size_t)m * sizeof *z);
-        for (int i = 0; i < outputs; i++) {
-            memcpy(column, next + m + i, sizeof column);
+        const int *row = starts;
+        for (int i = 0; i < outputs && !terms; i++, row++) {
+            sum_of(registers, entries + row[0], entries + row[1], z, &sum);
+            memcpy(column, &sum, (size_t)side_by_side * sizeof *column);
             for (size_t c = 0; c < used; c++) y[(c * (size_t)outputs + (size_t)i) * count + k] = column[c];
         }
+        for (int i = 0; terms && i < outputs / terms; i++) {
+            memset(whole, 0, sizeof whole);
+            for (int j = 0; j < terms; j++, row++) {
+                sum_of(registers, entries + row[0], entries + row[1], z, &sum);
+                memcpy(column, &sum, (size_t)side_by_side * sizeof *column);
+                for (int c = 0; c < side_by_side; c++) whole[c] += fabs(column[c]);
+            }
+            /* A NaN stays. */
+            for (int c = 0; c < side_by_side; c++)
+                most[i][c] = (whole[c] > most[i][c]) | (whole[c] != whole[c]) ? whole[c] : most[i][c];
+        }
+        for (int i = 0; i < m; i++, row++) sum_of(registers, entries + row[0], entries + row[1], z, next + i);
+        for (int i = 0; i < m; i++)
+            for (int r = 0; r < registers; r++) z[inputs + i].in[r] = next[i].in[r];
+    }
+    for (int i = 0; i < m && state; i++) {
+        memcpy(column, z + inputs + i, sizeof column);
+        for (size_t c = 0; c < used; c++) state[c * (size_t)m + (size_t)i] = column[c];
+    }
+    for (int i = 0; terms && i < outputs / terms; i++)
+        for (size_t c = 0; c < used; c++) y[c * (size_t)(outputs / terms) + (size_t)i] = most[i][c];
+}
+
+ALWAYS_INLINE void courses(COURSES_ARGUMENTS)
+{
+    switch ((used + ABREAST - 1) / ABREAST) {
+    case 1: courses_in(1, count, m, inputs, outputs, terms, starts, entries, u, y, state, back, used); break;
+    case 2: courses_in(2, count, m, inputs, outputs, terms, starts, entries, u, y, state, back, used); break;
+    case 3: courses_in(3, count, m, inputs, outputs, terms, starts, entries, u, y, state, back, used); break;
+    default: courses_in(REGISTERS, count, m, inputs, outputs, terms, starts, entries, u, y, state, back, used);
     }
 }
 
-static void abreast_anywhere(ABREAST_ARGUMENTS)
+static void courses_anywhere(COURSES_ARGUMENTS)
 {
-    abreast(count, m, inputs, outputs, width, S, u, y, back, used);
+    courses(count, m, inputs, outputs, terms, starts, entries, u, y, state, back, used);
 }
 
 #if defined(WITH_AVX2)
-WITH_AVX2 static void abreast_avx2(ABREAST_ARGUMENTS)
+WITH_AVX2 static void courses_avx2(COURSES_ARGUMENTS)
 {
-    abreast(count, m, inputs, outputs, width, S, u, y, back, used);
+    courses(count, m, inputs, outputs, terms, starts, entries, u, y, state, back, used);
 }
 
-WITH_AVX512 static void abreast_avx512(ABREAST_ARGUMENTS)
+WITH_AVX512 static void courses_avx512(COURSES_ARGUMENTS)
 {
-    abreast(count, m, inputs, outputs, width, S, u, y, back, used);
+    courses(count, m, inputs, outputs, terms, starts, entries, u, y, state, back, used);
 }
 #endif
 
 /* As `outputs_of` for any number of courses: u (courses, inputs, count), y (courses, outputs, count); width >= m +
- * outputs, and neither it nor the number of inputs above MOST_WIDTH; one input at least. */
-void tr_courses(size_t courses, size_t count, int m, int inputs, int outputs, int width, const double *S,
-                const double *u, double *y, int back)
+ * outputs, and neither it nor the number of inputs above MOST_WIDTH; one input at least. From three courses on they are
+ * worked on side by side, by the entries of the rows [D C; B A] over inputs and states. */
+void tr_courses(size_t number, size_t count, int m, int inputs, int outputs, int width, const double *S,
+                const int *starts, const void *entries, const double *u, double *y, int back)
 {
-    abreast_of *const side_by_side = BEST_OF(abreast);
-    for (size_t used = 0; courses > 0; courses -= used) {
+    courses_of *const side_by_side = BEST_OF(courses);
+    for (size_t used = 0; number > 0; number -= used) {
         u += used * (size_t)inputs * count, y += used * (size_t)outputs * count;
-        used = courses < 3 ? 1 : courses < ABREAST ? courses : ABREAST;
-        if (used > 2) side_by_side(count, m, inputs, outputs, width, S, u, y, back, used);
+        used = number < 3 ? 1 : number < LANES ? number : LANES;
+        if (used > 2) side_by_side(count, m, inputs, outputs, 0, starts, entries, u, y, NULL, back, used);
         /* Sizes that are known when compiled keep the sums in registers, of a filter of second order all of them. */
         else if (m == 2 && inputs == 1 && outputs == 1 && width == 4) outputs_of(count, 2, 1, 1, 4, S, u, y, back);
         else switch (width) {
@@ -190,6 +246,20 @@ void tr_courses(size_t courses, size_t count, int m, int inputs, int outputs, in
         case 16: outputs_of(count, m, inputs, outputs, 16, S, u, y, back); break;
         default: outputs_of(count, m, inputs, outputs, width, S, u, y, back);
         }
+    }
+}
+
+/* The largest |y| of every output along the same system, or of the sums of so many |y| one after the other, of any
+ * number of courses: found (courses, outputs / terms), at most MOST_LARGEST of them; u (courses, inputs, count). The
+ * state (courses, m) at first becomes that after all steps. The largest with a NaN is NaN. */
+void tr_largest(size_t number, size_t count, int m, int inputs, int outputs, int terms, const int *starts,
+                const void *entries, const double *u, double *state, double *found)
+{
+    courses_of *const side_by_side = BEST_OF(courses);
+    for (size_t used = 0; number > 0; number -= used) {
+        u += used * (size_t)inputs * count, state += used * (size_t)m, found += used * (size_t)(outputs / terms);
+        used = number < LANES ? number : LANES;
+        side_by_side(count, m, inputs, outputs, terms, starts, entries, u, found, state, 0, used);
     }
 }
 
@@ -209,7 +279,34 @@ void tr_bilinear(size_t count, int m, const double *M, const double *b, const do
     }
 }
 
-enum { HEATED = 16 }; /* steps whose maps are computed together, in vector registers */
+enum { HEATED = 16 }; /* steps that are computed together, in vector registers */
+
+/* Means of (|i| + ripple)^2 over steps in which i follows a held command through one pole, i = c + (i_0 - c) e^(-w t),
+ * for courses (courses, count) of i_0 and c. Of a step of w times its length x, factors (4, count) are x, e^(-x),
+ * (1 - e^(-x)) / x and (1 - e^(-2x)) / (2x). */
+void tr_square_means(size_t courses, size_t count, const double *factors, double ripple, const double *before,
+                     const double *command, double *found)
+{
+    const double *x = factors, *left = x + count, *of_mean = left + count, *of_square = of_mean + count;
+    for (; courses > 0; courses--, before += count, command += count, found += count)
+        for (size_t first = 0; first < count; first += HEATED) {
+            const size_t last = count - first < HEATED ? count : first + HEATED;
+            int turns = 0;
+            for (size_t k = first; k < last; k++) {
+                const double c = command[k], away = before[k] - c, mean = c + away * of_mean[k];
+                const double square = c * (2 * mean - c) + away * away * of_square[k];
+                found[k] = square + 2 * ripple * fabs(mean) + ripple * ripple;
+                turns |= before[k] * (c + away * left[k]) < 0;
+            }
+            for (size_t k = first; k < last && turns; k++) {
+                const double c = command[k], away = before[k] - c, mean = c + away * of_mean[k];
+                if (!(before[k] * (c + away * left[k]) < 0)) continue;
+                /* i is zero where e^(-w t) = -c / (i_0 - c); before that it has the other sign. */
+                const double share = -c / away, until = (-c * log(share) + away * (1 - share)) / x[k];
+                found[k] += 2 * ripple * (fabs(until) + fabs(mean - until) - fabs(mean));
+            }
+        }
+}
 
 /* (e^x - 1) / x near zero by its series, of which |x| < NEAR neglects less than the rounding. */
 #define NEAR 0.0625
@@ -364,18 +461,8 @@ void tr_spline_even(size_t knots, const double *y, size_t count, double first, d
     }
 }
 
-/* The time series that a strike processes side by side: up to four registers of the widest kind. One alone would wait
- * for its own results most of the time. */
-enum { MOST_OUTPUTS = 4, STAGES = 4, REGISTERS = 4, LANES = REGISTERS * ABREAST };
-typedef struct {
-    wide in[REGISTERS];
-} lanes;
-
-/* An entry of a sparse matrix. */
-struct entry {
-    int column;
-    double value;
-};
+/* Runge-Kutta stages of a step of a strike, and the most outputs along it. */
+enum { MOST_OUTPUTS = 4, STAGES = 4 };
 
 ALWAYS_INLINE uint64_t bits_of(double x)
 {
@@ -411,16 +498,6 @@ ALWAYS_INLINE double power(double x, double exponent)
     skew = 1 + t * (1. / 6 + t * (1. / 120 + t * (1. / 5040 + t * (1. / 362880 + t * (1. / 39916800 + t * skew)))));
     const double e = of_bits(bits_of(symmetric + r * skew) + (bits_of(up) << 52));
     return y > 700 ? INFINITY : y < -700 ? 0 : e;
-}
-
-/* The sum of a sparse row over the states and forces of the lanes of the first registers. */
-ALWAYS_INLINE void sum_of(const int registers, const struct entry *at, const struct entry *end, const lanes *z, lanes *to)
-{
-    wide sum[REGISTERS];
-    for (int r = 0; r < registers; r++) sum[r] = at->value * z[at->column].in[r];
-    while (++at < end)
-        for (int r = 0; r < registers; r++) sum[r] += at->value * z[at->column].in[r];
-    for (int r = 0; r < registers; r++) to->in[r] = sum[r];
 }
 
 /* One block of up to LANES courses in this many registers, see `tr_struck`; `starts` of the rows among their entries. */
@@ -491,21 +568,11 @@ WITH_AVX512 static void strike_avx512(STRIKE_ARGUMENTS)
 /* A linear system of n states x and a contact's force on it by the Runge-Kutta method of fourth order. Its rows,
  * (8 + outputs + n, n + 4), are sums over x and the forces F_0 to F_3 of the four stages: depth and closing speed at
  * each stage, of which F_j = stiffness depth^exponent (1 + damping closing), never below 0, follows; outputs; x after
- * the step.
+ * the step. Their entries are those from starts[row] to starts[row + 1], one at least.
  * For `columns` courses: state (n, columns), in the end that after all steps; found (steps + 1, outputs, columns). */
-void tr_struck(size_t steps, int n, int outputs, size_t columns, const double *rows, const double *contact,
-               double *state, double *found)
+void tr_struck(size_t steps, int n, int outputs, size_t columns, const int *starts, const void *entries,
+               const double *contact, double *state, double *found)
 {
-    struct entry entries[(2 * STAGES + MOST_OUTPUTS + MOST_STATES) * (MOST_STATES + STAGES)];
-    int starts[2 * STAGES + MOST_OUTPUTS + MOST_STATES + 1], count = 0;
-    const int width = n + STAGES;
-    for (int row = 0; row < 2 * STAGES + outputs + n; row++) {
-        starts[row] = count;
-        for (int j = 0; j < width; j++)
-            if (j == 0 || rows[row * width + j] != 0) /* an empty row's sum is 0 */
-                entries[count++] = (struct entry){j, rows[row * width + j]};
-    }
-    starts[2 * STAGES + outputs + n] = count;
     strike_of *const go = BEST_OF(strike);
     for (size_t first = 0; first < columns; first += LANES) {
         const size_t used = columns - first < LANES ? columns - first : LANES;

@@ -1,0 +1,62 @@
+"""What a replay keeps of a course, against all its samples."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.conftest import ProblemMaker
+from transopt.proof.continuous import accurate
+
+
+@pytest.mark.parametrize("late_ticks", [0.0, 0.3, 2.0, 2.6])
+@pytest.mark.parametrize("after", [0, 300])
+def test_the_largest_values_are_those_of_all_samples(
+    make_problem: ProblemMaker, late_ticks: float, after: int
+) -> None:
+    problem = make_problem(stages=40)
+    grid = replace(problem.grid, delay_s=late_ticks * problem.grid.dt_s, after_stages=after)
+    random, N, M = np.random.default_rng(after), grid.stages, 3
+    found = accurate(problem.stage, grid, random.uniform(-4, 4, (M, N)), None)
+    course, period, flow = found.course, found.course.period, found.flow
+    K, y, u, felt = period.to_samples.shape[2], 0, flow.tracked, len(flow.rows)
+    rows = np.eye(len(flow.rows) + 1)[[u, felt, u]]
+    offset = random.standard_normal((M, N + 1))
+    reached, late = course.reached(rows, {2: offset}, np.eye(1, len(flow.rows) + 1))
+
+    def samples(row: int) -> np.ndarray:
+        values = period.sampled(np.eye(len(flow.rows) + 1)[[row]]).outputs(course.acting)
+        return values.swapaxes(1, 2).reshape(M, -1)
+
+    dt, segments = grid.dt_s, period.segments
+    times = np.add.outer(
+        dt * np.arange(period.periods) - grid.lead_s, np.concatenate([s.offsets_s for s in segments])
+    )
+    times = times.ravel()
+    assert np.all(np.diff(times) >= -1e-15)
+    assert times[-1] >= grid.end_s + 20e-3 - 1e-12
+    knots = np.append(grid.switching_times_s, grid.end_s)
+    moved = samples(u) + np.stack([np.interp(times, knots, of) for of in offset])
+    # Of the two samples at an instant, just before and just after it, the parts end after tau_(N-1) and tau_N.
+    begins, over, ends = period.bounds
+    assert times[begins] == pytest.approx(grid.switching_times_s[0], abs=1e-12)
+    assert times[over - 1] == pytest.approx(grid.switching_times_s[-1], abs=1e-12)
+    assert over % (K // 2) == 1
+    assert times[ends - 1] <= grid.end_s < times[ends]
+    for part, at in enumerate(np.split(np.arange(times.size), period.bounds)):
+        for row, values in enumerate((samples(u), samples(felt), moved)):
+            expected = np.abs(values[:, at]).max(axis=1, initial=0.0)
+            np.testing.assert_allclose(reached[:, row, part], expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(late[:, 0], np.abs(samples(y)[:, ends:]).max(axis=1), rtol=1e-12)
+
+
+def test_rounding_is_that_of_the_terms_of_the_acceleration(make_problem: ProblemMaker) -> None:
+    problem = make_problem(stages=30)
+    found = accurate(problem.stage, problem.grid, np.random.default_rng(0).uniform(-4, 4, (2, 30)), None)
+    period, flow, acting = found.course.period, found.flow, found.course.acting
+    n = flow.A.shape[0]
+    parts = period.terms.outputs(acting)[..., period.at_switching]
+    assert parts.shape[1] == n + 1
+    np.testing.assert_allclose(parts.sum(axis=1), found.acceleration_m_s2, rtol=1e-9, atol=1e-9)
+    expected = 16 * np.finfo(float).eps * np.abs(parts).sum(axis=1).max(axis=1)
+    np.testing.assert_allclose(found.course.rounding(flow), expected, rtol=1e-12)
