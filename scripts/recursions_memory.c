@@ -20,6 +20,23 @@ static double *doubles(size_t count)
     return found;
 }
 
+/* The entries of rows (height, width) that are not zero, and the first of each row, in memory of their exact sizes. */
+static struct entry *entries_of(size_t height, size_t width, const double *rows, int **starts)
+{
+    size_t count = 0;
+    for (size_t i = 0; i < height * width; i++) count += i % width == 0 || rows[i] != 0;
+    struct entry *found = malloc(count * sizeof *found);
+    *starts = malloc((height + 1) * sizeof **starts);
+    if (!found || !*starts) exit(2);
+    count = 0;
+    for (size_t i = 0; i < height * width; i++) {
+        if (i % width == 0) (*starts)[i / width] = (int)count;
+        if (i % width == 0 || rows[i] != 0) found[count++] = (struct entry){(int)(i % width), rows[i]};
+    }
+    (*starts)[height] = (int)count;
+    return found;
+}
+
 /* x_k = P_(k-1) x_(k-1) + f_k, or against time with the transposes; `step` doubles from one matrix to the next. */
 static void expected(size_t count, size_t m, const double *P, size_t step, int back, double *x)
 {
@@ -63,18 +80,21 @@ int main(void)
                 for (size_t i = 0; i < n; i++) alone[i] = sums[i] = state[i * columns + columns - 1];
                 memset(sums + n, 0, steps * n * sizeof(double));
                 for (size_t i = 0; i < n * n; i++) A[i] = rows[(9 + i / n) * width + i % n];
-                tr_struck(steps, m, 1, columns, rows, contact, state, found);
-                tr_struck(steps, m, 1, 1, rows, contact, alone, course);
+                int *starts;
+                struct entry *entries = entries_of(height, width, rows, &starts);
+                tr_struck(steps, m, 1, columns, starts, entries, contact, state, found);
+                tr_struck(steps, m, 1, 1, starts, entries, contact, alone, course);
                 for (size_t k = 0; k <= steps; k++) {
                     const double other = found[k * columns + columns - 1];
                     if (course[k] != other && !(isnan(course[k]) && isnan(other))) return 1;
                 }
                 memcpy(alone, sums, n * sizeof(double));
-                tr_struck(steps, m, 1, 1, rows, none, alone, course);
+                tr_struck(steps, m, 1, 1, starts, entries, none, alone, course);
                 tr_run(steps + 1, m, A, sums);
                 for (size_t k = 0; k <= steps; k++)
                     if (!(fabs(course[k] - sums[k * n]) <= 1e-9 * (1.0 + fabs(sums[k * n])))) return 1;
                 free(rows), free(state), free(alone), free(found), free(course), free(A), free(sums);
+                free(entries), free(starts);
                 cases++;
             }
     for (int m = 1; m <= 12; m += 3)
@@ -84,11 +104,23 @@ int main(void)
                     for (int back = 0; back < 2; back++) {
                         const size_t n = (size_t)m, K = counts[c], width = (size_t)(m + q + 3) / 4 * 4;
                         /* One course to more than stand side by side, of which the last is looked at. */
-                        const size_t courses = 1 + (size_t)(m + p + q) % 11, last = courses - 1;
-                        double *S = doubles((n + (size_t)p) * width), *all = doubles(courses * (size_t)p * K);
-                        double *found = doubles(courses * (size_t)q * K), *x = doubles(n), *next = doubles(n);
+                        const size_t number = 1 + (size_t)(5 * m + 2 * p + q) % 37, last = number - 1;
+                        double *S = doubles((n + (size_t)p) * width), *all = doubles(number * (size_t)p * K);
+                        double *found = doubles(number * (size_t)q * K), *x = doubles(n), *next = doubles(n);
                         const double *u = all + last * (size_t)p * K, *y = found + last * (size_t)q * K;
-                        tr_courses(courses, K, m, p, q, (int)width, S, all, found, back);
+                        const size_t wide = (size_t)p + n;
+                        double *rows = doubles(((size_t)q + n) * wide), *state = doubles(number * n), sums = 0, most = 0;
+                        double *largest = doubles(number);
+                        for (size_t i = 0; i < (size_t)q + n; i++)
+                            for (size_t j = 0; j < wide; j++) {
+                                const size_t row = i < (size_t)q ? n + i : i - (size_t)q;
+                                rows[i * wide + j] = S[(j < (size_t)p ? n + j : j - (size_t)p) * width + row];
+                            }
+                        int *starts;
+                        struct entry *entries = entries_of((size_t)q + n, wide, rows, &starts);
+                        tr_courses(number, K, m, p, q, (int)width, S, starts, entries, all, found, back);
+                        memset(state, 0, number * n * sizeof(double));
+                        tr_largest(number, K, m, p, q, q, starts, entries, all, state, largest);
                         memset(x, 0, n * sizeof(double));
                         for (size_t s = 0; s < K; s++) {
                             const size_t k = back ? K - 1 - s : s;
@@ -100,8 +132,17 @@ int main(void)
                                 else if (!(fabs(y[(i - n) * K + k] - sum) <= 1e-9 * (1.0 + fabs(sum)))) return 1;
                             }
                             memcpy(x, next, n * sizeof(double));
+                            sums = 0;
+                            for (size_t i = 0; i < (size_t)q; i++) sums += fabs(y[i * K + k]);
+                            most = sums > most ? sums : most;
+                        }
+                        if (!back) {
+                            if (!(fabs(largest[last] - most) <= 1e-9 * (1.0 + most))) return 1;
+                            for (size_t i = 0; i < n; i++)
+                                if (!(fabs(state[last * n + i] - x[i]) <= 1e-9 * (1.0 + fabs(x[i])))) return 1;
                         }
                         free(S), free(all), free(found), free(x), free(next);
+                        free(rows), free(state), free(largest), free(entries), free(starts);
                         cases++;
                     }
     for (int m = 1; m <= 2; m++)
@@ -118,6 +159,23 @@ int main(void)
             free(M), free(b), free(gain), free(h), free(x);
             cases++;
         }
+    for (size_t c = 0; c < sizeof counts / sizeof *counts; c++) {
+        /* The current is steady over long steps, or turns at once; over short ones it stays what it was. */
+        const size_t K = counts[c];
+        double *factors = doubles(4 * K), *before = doubles(2 * K), *command = doubles(2 * K), *found = doubles(2 * K);
+        for (size_t k = 0; k < K; k++) {
+            const double x = k % 3 ? 1e-9 : 1e9;
+            factors[k] = x, factors[K + k] = exp(-x);
+            factors[2 * K + k] = -expm1(-x) / x, factors[3 * K + k] = -expm1(-2 * x) / (2 * x);
+        }
+        tr_square_means(2, K, factors, 0.02, before, command, found);
+        for (size_t k = 0; k < 2 * K; k++) {
+            const double i = fabs(k % K % 3 ? before[k] : command[k]) + 0.02;
+            if (!(fabs(found[k] - i * i) <= 1e-7)) return 1;
+        }
+        free(factors), free(before), free(command), free(found);
+        cases++;
+    }
     for (size_t c = 0; c < sizeof counts / sizeof *counts; c++) {
         /* Steady heat over many steps warms as over one step of their length, from any temperature. */
         static const double heat[] = {0.03, 2.0, 0.4, -0.7, 6.0, 9.0};
