@@ -21,21 +21,23 @@ static double *doubles(size_t count)
 }
 
 /* The entries of rows (height, width) that are not zero, and the first of each row, in memory of their exact sizes. */
-static struct entry *entries_of(size_t height, size_t width, const double *rows, int **starts)
+static struct sparse sparse_of(size_t height, size_t width, const double *rows)
 {
     size_t count = 0;
     for (size_t i = 0; i < height * width; i++) count += i % width == 0 || rows[i] != 0;
-    struct entry *found = malloc(count * sizeof *found);
-    *starts = malloc((height + 1) * sizeof **starts);
-    if (!found || !*starts) exit(2);
+    int *starts = malloc((height + 1) * sizeof *starts), *columns = malloc(count * sizeof *columns);
+    double *values = doubles(count);
+    if (!starts || !columns) exit(2);
     count = 0;
     for (size_t i = 0; i < height * width; i++) {
-        if (i % width == 0) (*starts)[i / width] = (int)count;
-        if (i % width == 0 || rows[i] != 0) found[count++] = (struct entry){(int)(i % width), rows[i]};
+        if (i % width == 0) starts[i / width] = (int)count;
+        if (i % width == 0 || rows[i] != 0) columns[count] = (int)(i % width), values[count++] = rows[i];
     }
-    (*starts)[height] = (int)count;
-    return found;
+    starts[height] = (int)count;
+    return (struct sparse){starts, columns, values};
 }
+
+static void freed(struct sparse rows) { free((void *)rows.starts), free((void *)rows.columns), free((void *)rows.values); }
 
 /* x_k = P_(k-1) x_(k-1) + f_k, or against time with the transposes; `step` doubles from one matrix to the next. */
 static void expected(size_t count, size_t m, const double *P, size_t step, int back, double *x)
@@ -80,21 +82,20 @@ int main(void)
                 for (size_t i = 0; i < n; i++) alone[i] = sums[i] = state[i * columns + columns - 1];
                 memset(sums + n, 0, steps * n * sizeof(double));
                 for (size_t i = 0; i < n * n; i++) A[i] = rows[(9 + i / n) * width + i % n];
-                int *starts;
-                struct entry *entries = entries_of(height, width, rows, &starts);
-                tr_struck(steps, m, 1, columns, starts, entries, contact, state, found);
-                tr_struck(steps, m, 1, 1, starts, entries, contact, alone, course);
+                const struct sparse given = sparse_of(height, width, rows);
+                tr_struck(steps, m, 1, columns, given.starts, given.columns, given.values, contact, state, found);
+                tr_struck(steps, m, 1, 1, given.starts, given.columns, given.values, contact, alone, course);
                 for (size_t k = 0; k <= steps; k++) {
                     const double other = found[k * columns + columns - 1];
                     if (course[k] != other && !(isnan(course[k]) && isnan(other))) return 1;
                 }
                 memcpy(alone, sums, n * sizeof(double));
-                tr_struck(steps, m, 1, 1, starts, entries, none, alone, course);
+                tr_struck(steps, m, 1, 1, given.starts, given.columns, given.values, none, alone, course);
                 tr_run(steps + 1, m, A, sums);
                 for (size_t k = 0; k <= steps; k++)
                     if (!(fabs(course[k] - sums[k * n]) <= 1e-9 * (1.0 + fabs(sums[k * n])))) return 1;
                 free(rows), free(state), free(alone), free(found), free(course), free(A), free(sums);
-                free(entries), free(starts);
+                freed(given);
                 cases++;
             }
     for (int m = 1; m <= 12; m += 3)
@@ -116,11 +117,10 @@ int main(void)
                                 const size_t row = i < (size_t)q ? n + i : i - (size_t)q;
                                 rows[i * wide + j] = S[(j < (size_t)p ? n + j : j - (size_t)p) * width + row];
                             }
-                        int *starts;
-                        struct entry *entries = entries_of((size_t)q + n, wide, rows, &starts);
-                        tr_courses(number, K, m, p, q, (int)width, S, starts, entries, all, found, back);
+                        const struct sparse given = sparse_of((size_t)q + n, wide, rows);
+                        tr_courses(number, K, m, p, q, (int)width, S, given.starts, given.columns, given.values, all, found, back);
                         memset(state, 0, number * n * sizeof(double));
-                        tr_largest(number, K, m, p, q, q, starts, entries, all, state, largest);
+                        tr_largest(number, K, m, p, q, q, given.starts, given.columns, given.values, all, state, largest);
                         memset(x, 0, n * sizeof(double));
                         for (size_t s = 0; s < K; s++) {
                             const size_t k = back ? K - 1 - s : s;
@@ -142,7 +142,7 @@ int main(void)
                                 if (!(fabs(state[last * n + i] - x[i]) <= 1e-9 * (1.0 + fabs(x[i])))) return 1;
                         }
                         free(S), free(all), free(found), free(x), free(next);
-                        free(rows), free(state), free(largest), free(entries), free(starts);
+                        free(rows), free(state), free(largest), freed(given);
                         cases++;
                     }
     for (int m = 1; m <= 2; m++)

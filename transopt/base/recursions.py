@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 CHUNK = 128  # stages in one band matrix, reused for a constant A
 EXTENSION = "_recursions.pyd" if os.name == "nt" else "_recursions.so"
 MOST_STATES, MOST_WIDTH, MOST_LARGEST, MOST_OUTPUTS = 64, 96, 192, 4  # of recursions.c
-ENTRY = np.dtype([("column", np.int32), ("value", np.float64)], align=True)  # its entry of a sparse matrix
 
 
 def _library() -> ct.CDLL | None:
@@ -42,14 +41,14 @@ def _library() -> ct.CDLL | None:
         "tr_run": (size, count, array, array),
         "tr_forwards": (size, count, array, array),
         "tr_backwards": (size, count, array, array),
-        "tr_courses": (size, size, *(count,) * 4, *(array,) * 5, count),
-        "tr_largest": (size, size, *(count,) * 4, *(array,) * 5),
+        "tr_courses": (size, size, *(count,) * 4, *(array,) * 6, count),
+        "tr_largest": (size, size, *(count,) * 4, *(array,) * 6),
         "tr_square_means": (size, size, array, ct.c_double, *(array,) * 3),
         "tr_heated": (size, size, *(array,) * 5),
         "tr_bilinear": (size, count, *(array,) * 3, ct.c_double, array, array),
         "tr_spline": (size, size, array, size, *(array,) * 3),
         "tr_spline_even": (size, array, size, ct.c_double, ct.c_double, array, array),
-        "tr_struck": (size, count, count, size, *(array,) * 5),
+        "tr_struck": (size, count, count, size, *(array,) * 6),
     }
     for name, given in takes.items():
         call = getattr(library, name)
@@ -57,7 +56,7 @@ def _library() -> ct.CDLL | None:
     return library
 
 
-def address(array: FloatArray) -> int:
+def address(array: NDArray[Any]) -> int:
     """Address of the first element of a contiguous array, for a call in C."""
     # Takes half the time of `array.ctypes.data`; for an array of structures, which it describes, a hundred times it.
     found: int = array.__array_interface__["data"][0]
@@ -139,8 +138,8 @@ class LinearSystem:
         states = np.zeros((M, m)) if start is None else np.array(start, dtype=float, order="C")
         found = np.empty((M, q // terms))
         if COMPILED is not None and m <= MOST_STATES and p <= MOST_WIDTH and q // terms <= MOST_LARGEST:
-            inputs, (_, sparse) = np.ascontiguousarray(inputs, dtype=float), self._sparse
-            COMPILED.tr_largest(M, N, m, p, q, terms, *sparse, *map(address, (inputs, states, found)))
+            inputs = np.ascontiguousarray(inputs, dtype=float)
+            COMPILED.tr_largest(M, N, m, p, q, terms, *map(address, (*self._sparse, inputs, states, found)))
             return found, states
         for course in range(M):
             outputs, states[course] = self._one_along(inputs[course], np.dtype(float), start=states[course])
@@ -158,8 +157,8 @@ class LinearSystem:
         found = np.empty((*courses, q, N), dtype=dtype)
         wide = max(self._matrix.shape[1], p) > MOST_WIDTH or m > MOST_STATES
         if dtype == np.float64 and COMPILED is not None and not wide:
-            inputs, matrix, (_, sparse) = np.ascontiguousarray(inputs, dtype=float), self._matrix, self._sparse
-            given = (address(matrix), *sparse, address(inputs), address(found))
+            inputs, matrix = np.ascontiguousarray(inputs, dtype=float), self._matrix
+            given = map(address, (matrix, *self._sparse, inputs, found))
             COMPILED.tr_courses(math.prod(courses), N, m, p, q, matrix.shape[1], *given, back)
             return found
         for each in np.ndindex(*courses):
@@ -194,19 +193,18 @@ class LinearSystem:
         return whole
 
     @cached_property
-    def _sparse(self) -> tuple[tuple[NDArray[Any], ...], tuple[int, ...]]:
+    def _sparse(self) -> tuple[NDArray[Any], ...]:
         """`sparse` of the rows [D C; B A], which sum over inputs and states."""
         return sparse(np.block([[self._D, self._C], [self.B, self.A]]))
 
 
-def sparse(rows: FloatArray) -> tuple[tuple[NDArray[Any], ...], tuple[int, ...]]:
-    """The sparse rows that `recursions.c` takes, at least one entry each: their arrays and the arrays' addresses."""
+def sparse(rows: FloatArray) -> tuple[NDArray[Any], ...]:
+    """Starts, columns and values of the entries of sparse rows as `recursions.c` takes them, at least one each."""
     stated = rows != 0
     stated[:, 0] = True
-    starts, entries = np.zeros(len(rows) + 1, dtype=np.int32), np.empty(int(stated.sum()), dtype=ENTRY)
+    starts = np.zeros(len(rows) + 1, dtype=np.int32)
     np.cumsum(stated.sum(axis=1), out=starts[1:])
-    entries["column"], entries["value"] = np.nonzero(stated)[1], rows[stated]
-    return (starts, entries), (starts.ctypes.data, entries.ctypes.data)
+    return starts, np.nonzero(stated)[1].astype(np.int32), rows[stated].astype(float)
 
 
 def bilinear(
@@ -407,7 +405,6 @@ def strike(
     n, (instants, outputs, courses) = start.shape[0], found.shape
     if COMPILED is None or n > MOST_STATES or outputs > MOST_OUTPUTS:
         return None
-    (kept, given), state, numbers = sparse(rows), np.array(start, dtype=float, order="C"), np.array(contact)
-    COMPILED.tr_struck(instants - 1, n, outputs, courses, *given, *map(address, (numbers, state, found)))
-    del kept  # their memory was in use until now
-    return state
+    given = (*sparse(rows), np.array(contact), np.array(start, dtype=float, order="C"), found)
+    COMPILED.tr_struck(instants - 1, n, outputs, courses, *map(address, given))
+    return given[-2]

@@ -8,7 +8,7 @@ Runge-Kutta step is a linear map, the same in every period.
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -52,13 +52,14 @@ def _radau(stages: int) -> tuple[FloatArray, FloatArray]:
 _BUTCHER, _WEIGHTS = _radau(5)
 
 
-def _step_map(A: FloatArray, B: FloatArray, h_s: float) -> tuple[FloatArray, FloatArray]:
-    """One Radau step of dx/dt = A x + B u with u held: x+ = P x + Q u."""
-    n, s = A.shape[0], _WEIGHTS.size
-    equations = np.eye(s * n) - h_s * np.einsum("ij,kl->ikjl", _BUTCHER, A).reshape(s * n, s * n)
-    slopes = np.linalg.solve(equations, np.tile(np.hstack([A, B]), (s, 1))).reshape(s, n, -1)
-    step = h_s * np.einsum("s,snm->nm", _WEIGHTS, slopes)
-    return np.eye(n) + step[:, :n], step[:, n:]
+def _step_maps(A: FloatArray, B: FloatArray, h_s: FloatArray) -> FloatArray:
+    """(J, n + m, n + m) Radau steps of these lengths of dx/dt = A x + B u with u held, as maps of x and u."""
+    (n, m), s = B.shape, _WEIGHTS.size
+    stages = np.einsum("ij,kl->ikjl", _BUTCHER, A).reshape(s * n, s * n)
+    slopes = np.linalg.solve(np.eye(s * n) - h_s[:, None, None] * stages, np.tile(np.hstack([A, B]), (s, 1)))
+    found = np.tile(np.eye(n + m), (h_s.size, 1, 1))
+    found[:, :n] += h_s[:, None, None] * np.einsum("s,jsnm->jnm", _WEIGHTS, slopes.reshape(-1, s, n, n + m))
+    return found
 
 
 @dataclass(frozen=True)
@@ -78,30 +79,26 @@ class Segment:
     Q: FloatArray
 
 
-def _segment(flow: Flow, start_s: float, end_s: float, behind: int, halvings: int) -> Segment:
-    """The segment with its samples, each reached by as many Radau steps as the stiffest mode needs."""
-    n, m = flow.B.shape
-    samples = SAMPLES_PER_PERIOD // 2
-    spacing = (end_s - start_s) / samples
-    doublings = int(np.ceil(np.log2(max(flow.fastest_rad_s * spacing / STEP_RADIUS, 1.0)))) + halvings
-    step = np.eye(n + m)
-    step[:n, :n], step[:n, n:] = _step_map(flow.A, flow.B, spacing / 2**doublings)
-    between = np.linalg.matrix_power(step, 2**doublings)
-    maps = [np.eye(n + m)]
+def _segments(flow: Flow, grid: TimeGrid, halvings: int) -> list[Segment]:
+    """The two segments of a period [t_k, t_(k+1)): the earlier command acts until the delay's fraction has passed.
+
+    Each sample is reached by as many Radau steps as the stiffest mode needs.
+    """
+    (whole, late), dt = split_delay(grid.delay_s, grid.dt_s), grid.dt_s
+    # Two halves without such a fraction too, so that a period always has the same number of samples.
+    parted = late > 1e-9 * dt
+    ends, behind = np.array([0.0, late if parted else dt / 2, dt]), (whole + parted, whole)
+    n, samples = flow.A.shape[0], SAMPLES_PER_PERIOD // 2
+    spacing = np.diff(ends) / samples
+    doublings = halvings + int(np.ceil(np.log2(max(flow.fastest_rad_s * spacing.max() / STEP_RADIUS, 1.0))))
+    between = np.linalg.matrix_power(_step_maps(flow.A, flow.B, spacing / 2**doublings), 2**doublings)
+    maps = [np.broadcast_to(np.eye(between.shape[-1]), between.shape)]
     for _ in range(samples):
         maps.append(between @ maps[-1])
-    stacked = np.stack(maps)
-    return Segment(behind, np.linspace(start_s, end_s, samples + 1), stacked[:, :n, :n], stacked[:, :n, n:])
-
-
-def _segments(flow: Flow, grid: TimeGrid, halvings: int) -> list[Segment]:
-    """The two segments of a period [t_k, t_(k+1)): the earlier command acts until the delay's fraction has passed."""
-    dt = grid.dt_s
-    whole, late = split_delay(grid.delay_s, dt)
-    if late <= 1e-9 * dt:
-        # Two halves in this case too, so that a period always has the same number of samples.
-        return [_segment(flow, 0.0, dt / 2, whole, halvings), _segment(flow, dt / 2, dt, whole, halvings)]
-    return [_segment(flow, 0.0, late, whole + 1, halvings), _segment(flow, late, dt, whole, halvings)]
+    return [
+        Segment(behind[j], np.linspace(ends[j], ends[j + 1], samples + 1), of[:, :n, :n], of[:, :n, n:])
+        for j, of in enumerate(np.stack(maps, axis=1))
+    ]
 
 
 @dataclass(frozen=True)
@@ -146,76 +143,119 @@ class Period:
     """One servo period as one map, its two segments in sequence, for n states and m motors.
 
     The commands that act in a period, (1 + late) m, are those of its first and of its second segment if they differ.
+    Rows over the states at its start and the commands of both segments are (n + 2 m).
 
     Attributes
     ----------
-    segments : the two segments.
-    starting : from the commands that act to y'' (p) at the start of the arriving segment and the plant's inputs (2 m)
-        at the starts of both.
-    terms : from them to the terms of y'' there, each of the p with one for every state and for every motor.
-    to_samples : (R + m, n + 2 m, K) map of the states at the start of a period and the commands of its segments to
-        the K samples of the period, for every row of the flow and for every command that acts.
-    acting : (2 m, (1 + late) m) map of the commands that act to those of both segments.
-    late : ticks by which the second segment's command was issued after the first's.
-    arriving : index of the segment in which a tick's own command begins to act.
-    periods : number of simulated periods, until `after_s` after tau_N.
-    instants : number of switching instants in window and tail.
-    bounds : numbers of samples before tau_0, up to the one just after tau_(N-1), and up to tau_N.
+    segments : the two segments, integrated with the same number of steps.
     """
 
+    flow: Flow
+    grid: TimeGrid
     segments: list[Segment]
-    starting: LinearSystem
-    terms: LinearSystem
-    to_samples: FloatArray
-    acting: FloatArray
-    late: int
-    arriving: int
-    periods: int
-    instants: int
-    bounds: tuple[int, int, int]
 
-    @classmethod
-    def of(cls, flow: Flow, grid: TimeGrid, halvings: int) -> "Period":
-        """A period integrated with a Runge-Kutta step that is halved so many times."""
-        segments = _segments(flow, grid, halvings)
-        first, second = segments
-        (n, m), p, late = flow.B.shape, flow.tracked, first.behind - second.behind
-        by_command, acting = np.zeros((n, (1 + late) * m)), np.zeros((2 * m, (1 + late) * m))
-        by_command[:, :m] += second.P[-1] @ first.Q[-1]
-        by_command[:, late * m :] += second.Q[-1]
-        acting[:m, :m] = acting[m:, late * m :] = np.eye(m)
-        to_middle = np.hstack([first.P[-1], first.Q[-1], np.zeros((n, m))])
-        to_samples = _to_samples(flow, segments, to_middle)
-        # If the delay is a whole number of periods, a command begins to act at a tick, else within the period.
-        arriving, halves = 0 if late == 0 else 1, (0, first.offsets_s.size)
-        starts = [(slice(p), halves[arriving]), *((slice(p, p + m), half) for half in halves)]
-        rows = np.concatenate([to_samples[of, :, sample] for of, sample in starts])
-        arrived = to_middle if arriving else np.eye(n, n + 2 * m)
-        felt = np.eye(m, 2 * m, arriving * m)
-        parts = [
-            np.concatenate([row[:, None] * arrived, by[:, None] * np.hstack([np.zeros((m, n)), felt])])
-            for row, by in zip(flow.rows[:p], flow.direct[:p], strict=True)
+    @property
+    def late(self) -> int:
+        """Ticks by which the second segment's command was issued after the first's."""
+        return self.segments[0].behind - self.segments[1].behind
+
+    @property
+    def arriving(self) -> int:
+        """Index of the segment in which a tick's own command begins to act.
+
+        If the delay is a whole number of periods, it begins to act at a tick, else within the period.
+        """
+        return 0 if self.late == 0 else 1
+
+    @property
+    def periods(self) -> int:
+        """Number of simulated periods, until `after_s` after tau_N."""
+        return self.grid.stages + self.segments[0].behind + int(np.ceil(after_s(self.grid) / self.grid.dt_s))
+
+    @property
+    def instants(self) -> int:
+        """Number of switching instants in window and tail."""
+        return self.grid.stages + self.grid.after_stages
+
+    @cached_property
+    def _acting(self) -> FloatArray:
+        """(2 m, (1 + late) m) map of the commands that act to those of both segments."""
+        m, late = self.flow.B.shape[1], self.late
+        found = np.zeros((2 * m, (1 + late) * m))
+        found[:m, :m] = found[m:, late * m :] = np.eye(m)
+        return found
+
+    @cached_property
+    def _starts(self) -> tuple[FloatArray, FloatArray]:
+        """(n, n + 2 m) rows of the states at the start of each segment."""
+        first, (n, m) = self.segments[0], self.flow.B.shape
+        return np.eye(n, n + 2 * m), np.hstack([first.P[-1], first.Q[-1], np.zeros((n, m))])
+
+    def _felt(self, segment: int) -> FloatArray:
+        """(m, n + 2 m) rows of the commands of a segment."""
+        n, m = self.flow.B.shape
+        return np.eye(m, n + 2 * m, n + segment * m)
+
+    def _at_start(self, segment: int, rows: slice) -> FloatArray:
+        """(r, n + 2 m) rows of the flow at the start of a segment."""
+        flow = self.flow
+        return np.asarray(flow.rows[rows] @ self._starts[segment] + flow.direct[rows] @ self._felt(segment))
+
+    @cached_property
+    def step(self) -> tuple[FloatArray, FloatArray]:
+        """A (n, n) and B (n, (1 + late) m) from the start of a period to that of the next."""
+        second, n = self.segments[1], self.flow.B.shape[0]
+        over = second.P[-1] @ self._starts[1] + second.Q[-1] @ self._felt(1)
+        return over[:, :n], over[:, n:] @ self._acting
+
+    def _system(self, rows: FloatArray) -> LinearSystem:
+        """From the commands that act to rows (r, n + 2 m)."""
+        n = self.flow.B.shape[0]
+        return LinearSystem(*self.step, rows[:, :n], rows[:, n:] @ self._acting)
+
+    @cached_property
+    def accelerating(self) -> LinearSystem:
+        """From the commands that act to y'' (p) at the start of the arriving segment."""
+        return self._system(self._at_start(self.arriving, slice(self.flow.tracked)))
+
+    @cached_property
+    def starting(self) -> LinearSystem:
+        """From them to y'' (p) there, and to the plant's inputs (2 m) at the starts of both segments."""
+        p, m = self.flow.tracked, self.flow.B.shape[1]
+        inputs = [self._at_start(segment, slice(p, p + m)) for segment in range(2)]
+        return self._system(np.concatenate([self._at_start(self.arriving, slice(p)), *inputs]))
+
+    @cached_property
+    def terms(self) -> LinearSystem:
+        """From them to the terms of y'' there, for each direction one of every state and of every motor."""
+        flow, states, felt = self.flow, self._starts[self.arriving], self._felt(self.arriving)
+        rows = [
+            part
+            for row, direct in zip(flow.rows, flow.direct[: flow.tracked], strict=False)
+            for part in (row[:, None] * states, direct[:, None] * felt)
         ]
-        terms, over_period = np.concatenate(parts), second.P[-1] @ first.P[-1]
-        periods = grid.stages + first.behind + int(np.ceil(after_s(grid) / grid.dt_s))
-        times_s = np.add.outer(
-            grid.dt_s * np.arange(periods) - grid.lead_s, np.concatenate([each.offsets_s for each in segments])
-        ).ravel()
-        last = 2 * (segments[arriving].behind + grid.stages - 1) + arriving  # segment that begins at tau_(N-1)
+        return self._system(np.concatenate(rows))
+
+    @cached_property
+    def to_samples(self) -> FloatArray:
+        """(R + m, n + 2 m, K) rows of the flow and of the commands that act, at the K samples of a period."""
+        flow, m = self.flow, self.flow.B.shape[1]
+        rows = np.vstack([flow.rows, np.zeros((m, flow.rows.shape[1]))])
+        direct, found = np.vstack([flow.direct, np.eye(m)]), []
+        for j, segment in enumerate(self.segments):
+            moved = segment.P @ self._starts[j] + segment.Q @ self._felt(j)
+            found.append((rows @ moved + direct @ self._felt(j)).transpose(1, 2, 0))
+        return np.concatenate(found, axis=2)
+
+    @cached_property
+    def bounds(self) -> tuple[int, int, int]:
+        """Numbers of samples before tau_0, up to the one just after tau_(N-1), and up to tau_N."""
+        grid, offsets_s = self.grid, np.concatenate([each.offsets_s for each in self.segments])
+        times_s = np.add.outer(grid.dt_s * np.arange(self.periods) - grid.lead_s, offsets_s).ravel()
         begins = int(np.searchsorted(times_s, grid.switching_times_s[0], side="left"))
         ends = int(np.searchsorted(times_s, grid.end_s, side="right"))
-        return cls(
-            segments,
-            LinearSystem(over_period, by_command, rows[:, :n], rows[:, n:] @ acting),
-            LinearSystem(over_period, by_command, terms[:, :n], terms[:, n:] @ acting),
-            to_samples,
-            acting,
-            late,
-            arriving,
-            periods,
-            instants=grid.stages + grid.after_stages,
-            bounds=(begins, last * first.offsets_s.size + 1, ends),
-        )
+        last = 2 * (self.at_switching.start + grid.stages - 1) + self.arriving  # segment that begins at tau_(N-1)
+        return begins, last * self.segments[0].offsets_s.size + 1, ends
 
     @property
     def at_switching(self) -> slice:
@@ -238,17 +278,16 @@ class Period:
         rows : (r, R + m) weights of the rows of the flow and of the commands that act.
         offset : rows to whose values an offset is added, in the order in which their offsets follow the commands.
         """
-        n, K = self.starting.A.shape[0], self.to_samples.shape[2]
-        values = np.einsum("ro,ozk->rkz", rows, self.to_samples)
-        direct = np.zeros((len(rows), K, self.acting.shape[1] + 3 * len(offset)))
-        direct[..., : self.acting.shape[1]] = values[..., n:] @ self.acting
+        n, K, acting = self.flow.A.shape[0], self.to_samples.shape[2], self._acting.shape[1]
+        values = np.tensordot(rows, self.to_samples, 1).swapaxes(1, 2)
+        direct = np.zeros((len(rows), K, acting + 3 * len(offset)))
+        direct[..., :acting] = values[..., n:] @ self._acting
         for number, row in enumerate(offset):
-            at = self.acting.shape[1] + 3 * number
+            at = acting + 3 * number
             direct[row, :, at : at + 3] = self._hats
-        by_inputs = np.zeros((n, direct.shape[-1]))
-        by_inputs[:, : self.acting.shape[1]] = self.starting.B
-        by_states = values[..., :n].reshape(-1, n)
-        return LinearSystem(self.starting.A, by_inputs, by_states, direct.reshape(len(by_states), -1))
+        A, B = self.step
+        by_inputs = np.hstack([B, np.zeros((n, direct.shape[-1] - acting))])
+        return LinearSystem(A, by_inputs, values[..., :n].reshape(-1, n), direct.reshape(len(rows) * K, -1))
 
     @property
     def _hats(self) -> FloatArray:
@@ -261,18 +300,6 @@ class Period:
         """(M, 3, periods) values at the switching instants before, in and after each period of (M, up to N + 1)."""
         knots = np.arange(-1, 2)[:, None] + np.arange(self.periods) - self.at_switching.start
         return np.asarray(course[:, np.clip(knots, 0, course.shape[1] - 1)])
-
-
-def _to_samples(flow: Flow, segments: list[Segment], to_middle: FloatArray) -> FloatArray:
-    """`Period.to_samples`: each segment's samples follow from the states at its start and the command that acts."""
-    n, m = flow.B.shape
-    rows, direct = np.vstack([flow.rows, np.zeros((m, n))]), np.vstack([flow.direct, np.eye(m)])
-    found = []
-    for j, (segment, started) in enumerate(zip(segments, (np.eye(*to_middle.shape), to_middle), strict=True)):
-        by_start = np.einsum("on,snm->oms", rows, segment.P @ started)
-        by_start[:, n + j * m : n + (j + 1) * m] += np.einsum("on,snm->oms", rows, segment.Q) + direct[..., None]
-        found.append(by_start)
-    return np.concatenate(found, axis=2)
 
 
 def lone(values: FloatArray) -> FloatArray:
@@ -309,18 +336,18 @@ class Course:
     @cached_property
     def accelerations(self) -> FloatArray:
         """(M, instants), or (M, p, instants): y'' just after the switching instants of window and tail."""
-        directions = self.starting.shape[1] - self.period.acting.shape[0]
-        return lone(self.starting[:, :directions, self.period.at_switching])
+        return lone(self.starting[:, : self.period.flow.tracked, self.period.at_switching])
 
     def inputs(self, arriving: int) -> FloatArray:
         """(M, m, periods) plant's inputs at the start of each period's first, 0, or second segment."""
-        motors = self.period.acting.shape[0] // 2
+        motors = self.period.flow.B.shape[1]
         return self.starting[:, -2 * motors :][:, arriving * motors :][:, :motors]
 
-    def rounding(self, flow: Flow) -> FloatArray:
+    @cached_property
+    def rounding(self) -> FloatArray:
         """(M,) rounding error of y'' there: `ROUNDING` times the largest sum of the absolute values of its terms."""
-        acting = self.acting[..., : self.period.at_switching.stop]
-        return np.asarray(ROUNDING * self.period.terms.largest(acting, terms=sum(flow.B.shape))[0].max(axis=1))
+        period, acting = self.period, self.acting[..., : self.period.at_switching.stop]
+        return np.asarray(ROUNDING * period.terms.largest(acting, terms=sum(period.flow.B.shape))[0].max(axis=1))
 
     def reached(
         self, rows: FloatArray, offsets: Mapping[int, FloatArray], after: FloatArray
@@ -342,7 +369,7 @@ class Course:
         early, late = (period.sampled(of, [*offsets]) for of in (rows, np.vstack([rows, after])))
         cuts = {0, periods, *(min(-(-bound // K), periods) for bound in period.bounds)}
         cuts |= {min(bound // K, periods) for bound in period.bounds}
-        found, states = np.zeros((M, len(rows) + len(after), 4)), np.zeros((M, period.starting.A.shape[0]))
+        found, states = np.zeros((M, len(rows) + len(after), 4)), np.zeros((M, period.flow.A.shape[0]))
         for first, last in itertools.pairwise(sorted(cuts)):
             # Either one period or several between two bounds, whose samples all belong to the same part.
             part = np.searchsorted(period.bounds, first * K + np.arange(K), side="right")
@@ -355,20 +382,18 @@ class Course:
         return found[:, : len(rows)], found[:, len(rows) :, -1]
 
 
-def _play(
-    stage: StageModel, flow: Flow, grid: TimeGrid, commands: FloatArray, period: Period, loop: Loop | None
-) -> Course:
+def _play(stage: StageModel, commands: FloatArray, period: Period, loop: Loop | None) -> Course:
     """The course of M taps under the commands (M, N), or (M, m, N) [A]; `loop` adds the wall's feedback."""
     M, N = len(commands), commands.shape[-1]
     behind, periods, late = period.segments[0].behind, period.periods, period.late
     # Before the first command and after the waveform the command is zero, or the wall's feedback.
     issued = period.issued(commands.reshape(M, -1, N))
     if loop is not None:
-        x, step, only = np.zeros((M, flow.A.shape[0])), period.starting, issued[:, 0]
-        feedback = loop.start(stage, grid.dt_s)
+        (A, B), encoder, only = period.step, period.flow.encoder, issued[:, 0]
+        x, feedback = np.zeros((M, len(A))), loop.start(stage, period.grid.dt_s)
         for k in range(periods):
-            only[:, behind + k] += feedback.step(loop.read(k, x @ flow.encoder))
-            x = x @ step.A.T + only[:, k : k + 1 + late] @ step.B.T
+            only[:, behind + k] += feedback.step(loop.read(k, x @ encoder))
+            x = x @ A.T + only[:, k : k + 1 + late] @ B.T
         commands = only[:, behind : behind + N]
     acting = np.concatenate([issued[..., by : by + periods] for by in range(1 + late)], axis=1)
     return Course(period, acting, commands)
@@ -385,12 +410,10 @@ class Accurate:
 
     Attributes
     ----------
-    flow : the simulated device.
     step_error : (M,) largest difference of y'' from the result with twice the step, relative to its peak.
     course : the taps.
     """
 
-    flow: Flow
     step_error: FloatArray
     course: Course
 
@@ -401,7 +424,7 @@ class Accurate:
 
     def of(self, taps: slice) -> "Accurate":
         """The replay of some of the commands."""
-        return Accurate(self.flow, self.step_error[taps], self.course.of(taps))
+        return Accurate(self.step_error[taps], self.course.of(taps))
 
 
 def largest(values: FloatArray) -> FloatArray:
@@ -421,19 +444,25 @@ def accurate(stage: StageModel, grid: TimeGrid, commands: FloatArray, loop: Loop
     """
     flow = stage.kept(Flow, (), None, lambda: Flow.of(stage))
 
-    def played(halvings: int) -> Course:
-        period = stage.kept((Period, halvings), (), grid, lambda: Period.of(flow, grid, halvings))
-        return _play(stage, flow, grid, commands, period, loop)
+    def period(halvings: int) -> Period:
+        key = Period, halvings
+        return stage.kept(key, (), grid, lambda: Period(flow, grid, _segments(flow, grid, halvings)))
 
-    coarse = played(0).accelerations
+    course = _play(stage, commands, period(0), loop)
+    coarse = lone(course.period.accelerating.outputs(course.acting)[..., course.period.at_switching])
     for halvings in range(1, MOST_HALVINGS + 1):
-        course = played(halvings)
+        # Without a wall the same commands act, whatever the step.
+        course = (
+            replace(course, period=period(halvings))
+            if loop is None
+            else _play(stage, commands, period(halvings), loop)
+        )
         found = course.accelerations
         difference, peak = largest(found - coarse), largest(found)
         step_error = difference / peak_scale(peak, 0.0)
         if not np.all(step_error <= STEP_ERROR):
-            step_error = difference / peak_scale(peak, course.rounding(flow))
+            step_error = difference / peak_scale(peak, course.rounding)
         coarse = found
         if np.all(step_error <= STEP_ERROR):
             break
-    return Accurate(flow, step_error, course)
+    return Accurate(step_error, course)

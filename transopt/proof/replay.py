@@ -192,7 +192,7 @@ def _peaks(
     runs : the same commands on the entry's own device and, if a limit depends on them, on those of its spread.
     devices : the devices of `runs`; further ones are not used.
     """
-    flow = runs[0].flow
+    flow = runs[0].course.period.flow
     (R, _), (_, m), p = flow.rows.shape, flow.B.shape, flow.tracked
     own = np.eye(R + m)
     found: list[tuple[dict[str, float], dict[str, float], float, float]] = [({}, {}, 0.0, 0.0)] * len(limits)
@@ -292,7 +292,7 @@ def replay(
         simulated = accurate(stage, grid, commands, loop)
     figures = figures_of(simulated, Yardstick(grid) if yardstick is None else yardstick, targets)
     course, step_error, limits = simulated.course, simulated.step_error, limits or [Limits()] * len(commands)
-    runs, rounding = [simulated], course.rounding(simulated.flow)
+    runs, rounding = [simulated], course.rounding
     acceleration, later = np.split(simulated.acceleration_m_s2, [grid.stages], axis=-1)
     plant_input = lone(course.inputs(course.period.arriving))[..., course.period.at_switching][..., : grid.stages]
     winding = housing = np.full(len(commands), np.nan)

@@ -126,38 +126,43 @@ int tr_most_largest(void) { return MOST_LARGEST; }
 
 /* Time series processed side by side: up to four registers of the widest kind. One alone would wait for its own results
  * most of the time. */
-enum { REGISTERS = 4, LANES = REGISTERS * ABREAST };
+enum { REGISTERS = 4, LANES = REGISTERS * ABREAST, STEPS = 8 };
 typedef struct {
     wide in[REGISTERS];
 } lanes;
 
-/* An entry of a sparse matrix. */
-struct entry {
-    int column;
-    double value;
+/* Sparse rows: that of number i has the entries from starts[i] to starts[i + 1], one at least. */
+struct sparse {
+    const int *starts, *columns;
+    const double *values;
 };
 
-/* The sum of a sparse row over the vector z in the lanes of the first registers. */
-ALWAYS_INLINE void sum_of(const int registers, const struct entry *at, const struct entry *end, const lanes *z, lanes *to)
+/* The sum of a row over the vector z in the lanes of the first registers. */
+ALWAYS_INLINE void sum_of(const int registers, const struct sparse *rows, const int row, const lanes *z, lanes *to)
 {
+    const int end = rows->starts[row + 1];
+    int at = rows->starts[row];
     wide sum[REGISTERS];
-    for (int r = 0; r < registers; r++) sum[r] = at->value * z[at->column].in[r];
+    for (int r = 0; r < registers; r++) sum[r] = rows->values[at] * z[rows->columns[at]].in[r];
     while (++at < end)
-        for (int r = 0; r < registers; r++) sum[r] += at->value * z[at->column].in[r];
+        for (int r = 0; r < registers; r++) sum[r] += rows->values[at] * z[rows->columns[at]].in[r];
     for (int r = 0; r < registers; r++) to->in[r] = sum[r];
 }
 
 #define COURSES_ARGUMENTS                                                                                            \
-    const size_t count, const int m, const int inputs, const int outputs, const int terms, const int *starts,        \
-        const struct entry *entries, const double *u, double *y, double *state, const int back, const size_t used
+    const size_t count, const int m, const int inputs, const int outputs, const int terms, const struct sparse *rows, \
+        const double *u, double *y, double *state, const int back, const size_t used
 typedef void courses_of(COURSES_ARGUMENTS);
 
 /* One block of up to LANES courses in this many registers, see `tr_courses` and, if `terms`, `tr_largest`. */
 ALWAYS_INLINE void courses_in(const int registers, COURSES_ARGUMENTS)
 {
-    lanes z[MOST_WIDTH + MOST_STATES], next[MOST_STATES], sum;
-    double column[LANES] = {0}, whole[LANES], most[MOST_LARGEST][LANES];
+    /* Inputs and outputs of some steps at a time: those of one course stand together in memory. */
+    const int height = inputs + (terms ? 0 : outputs), fit = 2 * MOST_WIDTH / height, block = fit < STEPS ? fit : STEPS;
+    lanes z[MOST_WIDTH + MOST_STATES], next[MOST_STATES], held[2 * MOST_WIDTH], sum;
+    double column[LANES] = {0}, columns[STEPS][LANES] = {{0}}, whole[LANES], most[MOST_LARGEST][LANES];
     const int side_by_side = registers * ABREAST;
+    const ptrdiff_t ahead = back ? -1 : 1;
     memset(z, 0, (size_t)(inputs + m) * sizeof *z);
     if (terms) memset(most, 0, (size_t)(outputs / terms) * sizeof *most);
     for (int i = 0; i < m && state; i++) {
@@ -165,21 +170,29 @@ ALWAYS_INLINE void courses_in(const int registers, COURSES_ARGUMENTS)
         memcpy(z + inputs + i, column, sizeof column);
     }
     for (size_t s = 0; s < count; s++) {
-        const size_t k = back ? count - 1 - s : s;
-        for (int i = 0; i < inputs; i++) {
-            for (size_t c = 0; c < used; c++) column[c] = u[(c * (size_t)inputs + (size_t)i) * count + k];
-            memcpy(z + i, column, sizeof column);
+        const int t = (int)(s % (size_t)block), left = count - s < (size_t)block ? (int)(count - s) : block;
+        for (int i = 0; i < inputs && t == 0; i++) {
+            for (size_t c = 0; c < used; c++) {
+                const double *from = u + (c * (size_t)inputs + (size_t)i) * count + (back ? count - 1 - s : s);
+                for (int j = 0; j < left; j++) columns[j][c] = from[j * ahead];
+            }
+            for (int j = 0; j < left; j++) memcpy(held + j * height + i, columns[j], sizeof *held);
         }
-        const int *row = starts;
-        for (int i = 0; i < outputs && !terms; i++, row++) {
-            sum_of(registers, entries + row[0], entries + row[1], z, &sum);
-            memcpy(column, &sum, (size_t)side_by_side * sizeof *column);
-            for (size_t c = 0; c < used; c++) y[(c * (size_t)outputs + (size_t)i) * count + k] = column[c];
+        memcpy(z, held + t * height, (size_t)inputs * sizeof *z);
+        int row = 0;
+        for (int i = 0; i < outputs && !terms; i++, row++)
+            sum_of(registers, rows, row, z, held + t * height + inputs + i);
+        for (int i = 0; i < outputs && !terms && (t == block - 1 || s == count - 1); i++) {
+            for (int j = 0; j <= t; j++) memcpy(columns[j], held + j * height + inputs + i, sizeof *held);
+            for (size_t c = 0; c < used; c++) {
+                double *to = y + (c * (size_t)outputs + (size_t)i) * count + (back ? count - 1 - s + (size_t)t : s - (size_t)t);
+                for (int j = 0; j <= t; j++) to[j * ahead] = columns[j][c];
+            }
         }
         for (int i = 0; terms && i < outputs / terms; i++) {
             memset(whole, 0, sizeof whole);
             for (int j = 0; j < terms; j++, row++) {
-                sum_of(registers, entries + row[0], entries + row[1], z, &sum);
+                sum_of(registers, rows, row, z, &sum);
                 memcpy(column, &sum, (size_t)side_by_side * sizeof *column);
                 for (int c = 0; c < side_by_side; c++) whole[c] += fabs(column[c]);
             }
@@ -187,7 +200,7 @@ ALWAYS_INLINE void courses_in(const int registers, COURSES_ARGUMENTS)
             for (int c = 0; c < side_by_side; c++)
                 most[i][c] = (whole[c] > most[i][c]) | (whole[c] != whole[c]) ? whole[c] : most[i][c];
         }
-        for (int i = 0; i < m; i++, row++) sum_of(registers, entries + row[0], entries + row[1], z, next + i);
+        for (int i = 0; i < m; i++, row++) sum_of(registers, rows, row, z, next + i);
         for (int i = 0; i < m; i++)
             for (int r = 0; r < registers; r++) z[inputs + i].in[r] = next[i].in[r];
     }
@@ -202,41 +215,42 @@ ALWAYS_INLINE void courses_in(const int registers, COURSES_ARGUMENTS)
 ALWAYS_INLINE void courses(COURSES_ARGUMENTS)
 {
     switch ((used + ABREAST - 1) / ABREAST) {
-    case 1: courses_in(1, count, m, inputs, outputs, terms, starts, entries, u, y, state, back, used); break;
-    case 2: courses_in(2, count, m, inputs, outputs, terms, starts, entries, u, y, state, back, used); break;
-    case 3: courses_in(3, count, m, inputs, outputs, terms, starts, entries, u, y, state, back, used); break;
-    default: courses_in(REGISTERS, count, m, inputs, outputs, terms, starts, entries, u, y, state, back, used);
+    case 1: courses_in(1, count, m, inputs, outputs, terms, rows, u, y, state, back, used); break;
+    case 2: courses_in(2, count, m, inputs, outputs, terms, rows, u, y, state, back, used); break;
+    case 3: courses_in(3, count, m, inputs, outputs, terms, rows, u, y, state, back, used); break;
+    default: courses_in(REGISTERS, count, m, inputs, outputs, terms, rows, u, y, state, back, used);
     }
 }
 
 static void courses_anywhere(COURSES_ARGUMENTS)
 {
-    courses(count, m, inputs, outputs, terms, starts, entries, u, y, state, back, used);
+    courses(count, m, inputs, outputs, terms, rows, u, y, state, back, used);
 }
 
 #if defined(WITH_AVX2)
 WITH_AVX2 static void courses_avx2(COURSES_ARGUMENTS)
 {
-    courses(count, m, inputs, outputs, terms, starts, entries, u, y, state, back, used);
+    courses(count, m, inputs, outputs, terms, rows, u, y, state, back, used);
 }
 
 WITH_AVX512 static void courses_avx512(COURSES_ARGUMENTS)
 {
-    courses(count, m, inputs, outputs, terms, starts, entries, u, y, state, back, used);
+    courses(count, m, inputs, outputs, terms, rows, u, y, state, back, used);
 }
 #endif
 
 /* As `outputs_of` for any number of courses: u (courses, inputs, count), y (courses, outputs, count); width >= m +
  * outputs, and neither it nor the number of inputs above MOST_WIDTH; one input at least. From three courses on they are
- * worked on side by side, by the entries of the rows [D C; B A] over inputs and states. */
+ * worked on side by side, by the sparse rows [D C; B A] over inputs and states. */
 void tr_courses(size_t number, size_t count, int m, int inputs, int outputs, int width, const double *S,
-                const int *starts, const void *entries, const double *u, double *y, int back)
+                const int *starts, const int *columns, const double *values, const double *u, double *y, int back)
 {
+    const struct sparse rows = {starts, columns, values};
     courses_of *const side_by_side = BEST_OF(courses);
     for (size_t used = 0; number > 0; number -= used) {
         u += used * (size_t)inputs * count, y += used * (size_t)outputs * count;
         used = number < 3 ? 1 : number < LANES ? number : LANES;
-        if (used > 2) side_by_side(count, m, inputs, outputs, 0, starts, entries, u, y, NULL, back, used);
+        if (used > 2) side_by_side(count, m, inputs, outputs, 0, &rows, u, y, NULL, back, used);
         /* Sizes that are known when compiled keep the sums in registers, of a filter of second order all of them. */
         else if (m == 2 && inputs == 1 && outputs == 1 && width == 4) outputs_of(count, 2, 1, 1, 4, S, u, y, back);
         else switch (width) {
@@ -253,13 +267,14 @@ void tr_courses(size_t number, size_t count, int m, int inputs, int outputs, int
  * number of courses: found (courses, outputs / terms), at most MOST_LARGEST of them; u (courses, inputs, count). The
  * state (courses, m) at first becomes that after all steps. The largest with a NaN is NaN. */
 void tr_largest(size_t number, size_t count, int m, int inputs, int outputs, int terms, const int *starts,
-                const void *entries, const double *u, double *state, double *found)
+                const int *columns, const double *values, const double *u, double *state, double *found)
 {
+    const struct sparse rows = {starts, columns, values};
     courses_of *const side_by_side = BEST_OF(courses);
     for (size_t used = 0; number > 0; number -= used) {
         u += used * (size_t)inputs * count, state += used * (size_t)m, found += used * (size_t)(outputs / terms);
         used = number < LANES ? number : LANES;
-        side_by_side(count, m, inputs, outputs, terms, starts, entries, u, found, state, 0, used);
+        side_by_side(count, m, inputs, outputs, terms, &rows, u, found, state, 0, used);
     }
 }
 
@@ -502,16 +517,15 @@ ALWAYS_INLINE double power(double x, double exponent)
 
 /* One block of up to LANES courses in this many registers, see `tr_struck`; `starts` of the rows among their entries. */
 ALWAYS_INLINE void strike_in(const int registers, const size_t steps, const int n, const int outputs,
-                             const size_t columns, const struct entry *entries, const int *starts,
-                             const double *contact, lanes *restrict z, double *found, const size_t used)
+                             const size_t columns, const struct sparse *rows, const double *contact, lanes *restrict z, double *found, const size_t used)
 {
     lanes seen[2], next[MOST_OUTPUTS + MOST_STATES];
     double depth[LANES], closing[LANES], force[LANES];
     const int count = registers * ABREAST;
     for (size_t k = 0; k <= steps; k++) {
-        const int *row = starts;
+        int row = 0;
         for (int j = 0; j < STAGES; j++) {
-            for (int o = 0; o < 2; o++, row++) sum_of(registers, entries + row[0], entries + row[1], z, seen + o);
+            for (int o = 0; o < 2; o++, row++) sum_of(registers, rows, row, z, seen + o);
             memcpy(depth, seen, (size_t)count * sizeof *depth);
             memcpy(closing, seen + 1, (size_t)count * sizeof *closing);
             for (int c = 0; c < count; c++) {
@@ -524,7 +538,7 @@ ALWAYS_INLINE void strike_in(const int registers, const size_t steps, const int 
             memcpy(z + n + j, force, (size_t)count * sizeof *force);
         }
         for (int i = 0; i < outputs + n; i++, row++)
-            sum_of(registers, entries + row[0], entries + row[1], z, next + i);
+            sum_of(registers, rows, row, z, next + i);
         for (int i = 0; i < outputs; i++)
             memcpy(found + (k * (size_t)outputs + (size_t)i) * columns, next + i, used * sizeof(double));
         if (k < steps)
@@ -534,52 +548,53 @@ ALWAYS_INLINE void strike_in(const int registers, const size_t steps, const int 
 }
 
 #define STRIKE_ARGUMENTS                                                                                             \
-    size_t steps, int n, int outputs, size_t columns, const struct entry *entries, const int *starts,                \
-        const double *contact, lanes *z, double *found, size_t used
+    size_t steps, int n, int outputs, size_t columns, const struct sparse *rows, const double *contact, lanes *z,   \
+        double *found, size_t used
 typedef void strike_of(STRIKE_ARGUMENTS);
 
 ALWAYS_INLINE void strike(STRIKE_ARGUMENTS)
 {
     switch ((used + ABREAST - 1) / ABREAST) {
-    case 1: strike_in(1, steps, n, outputs, columns, entries, starts, contact, z, found, used); break;
-    case 2: strike_in(2, steps, n, outputs, columns, entries, starts, contact, z, found, used); break;
-    case 3: strike_in(3, steps, n, outputs, columns, entries, starts, contact, z, found, used); break;
-    default: strike_in(REGISTERS, steps, n, outputs, columns, entries, starts, contact, z, found, used);
+    case 1: strike_in(1, steps, n, outputs, columns, rows, contact, z, found, used); break;
+    case 2: strike_in(2, steps, n, outputs, columns, rows, contact, z, found, used); break;
+    case 3: strike_in(3, steps, n, outputs, columns, rows, contact, z, found, used); break;
+    default: strike_in(REGISTERS, steps, n, outputs, columns, rows, contact, z, found, used);
     }
 }
 
 static void strike_anywhere(STRIKE_ARGUMENTS)
 {
-    strike(steps, n, outputs, columns, entries, starts, contact, z, found, used);
+    strike(steps, n, outputs, columns, rows, contact, z, found, used);
 }
 
 #if defined(WITH_AVX2)
 WITH_AVX2 static void strike_avx2(STRIKE_ARGUMENTS)
 {
-    strike(steps, n, outputs, columns, entries, starts, contact, z, found, used);
+    strike(steps, n, outputs, columns, rows, contact, z, found, used);
 }
 
 WITH_AVX512 static void strike_avx512(STRIKE_ARGUMENTS)
 {
-    strike(steps, n, outputs, columns, entries, starts, contact, z, found, used);
+    strike(steps, n, outputs, columns, rows, contact, z, found, used);
 }
 #endif
 
 /* A linear system of n states x and a contact's force on it by the Runge-Kutta method of fourth order. Its rows,
  * (8 + outputs + n, n + 4), are sums over x and the forces F_0 to F_3 of the four stages: depth and closing speed at
  * each stage, of which F_j = stiffness depth^exponent (1 + damping closing), never below 0, follows; outputs; x after
- * the step. Their entries are those from starts[row] to starts[row + 1], one at least.
+ * the step; `where` are their columns.
  * For `columns` courses: state (n, columns), in the end that after all steps; found (steps + 1, outputs, columns). */
-void tr_struck(size_t steps, int n, int outputs, size_t columns, const int *starts, const void *entries,
-               const double *contact, double *state, double *found)
+void tr_struck(size_t steps, int n, int outputs, size_t columns, const int *starts, const int *where,
+               const double *values, const double *contact, double *state, double *found)
 {
+    const struct sparse rows = {starts, where, values};
     strike_of *const go = BEST_OF(strike);
     for (size_t first = 0; first < columns; first += LANES) {
         const size_t used = columns - first < LANES ? columns - first : LANES;
         lanes z[MOST_STATES + STAGES];
         memset(z, 0, sizeof z);
         for (int i = 0; i < n; i++) memcpy(z + i, state + (size_t)i * columns + first, used * sizeof(double));
-        go(steps, n, outputs, columns, entries, starts, contact, z, found + first, used);
+        go(steps, n, outputs, columns, &rows, contact, z, found + first, used);
         for (int i = 0; i < n; i++) memcpy(state + (size_t)i * columns + first, z + i, used * sizeof(double));
     }
 }
