@@ -90,8 +90,10 @@ def _segments(flow: Flow, grid: TimeGrid, halvings: int) -> list[Segment]:
     ends, behind = np.array([0.0, late if parted else dt / 2, dt]), (whole + parted, whole)
     n, samples = flow.A.shape[0], SAMPLES_PER_PERIOD // 2
     spacing = np.diff(ends) / samples
-    doublings = halvings + int(np.ceil(np.log2(max(flow.fastest_rad_s * spacing.max() / STEP_RADIUS, 1.0))))
-    between = np.linalg.matrix_power(_step_maps(flow.A, flow.B, spacing / 2**doublings), 2**doublings)
+    doublings = halvings + np.ceil(np.log2(np.maximum(flow.fastest_rad_s * spacing / STEP_RADIUS, 1.0)))
+    between = _step_maps(flow.A, flow.B, spacing / 2**doublings)
+    for doubled in range(int(doublings.max())):
+        between = np.where((doubled < doublings)[:, None, None], between @ between, between)
     maps = [np.broadcast_to(np.eye(between.shape[-1]), between.shape)]
     for _ in range(samples):
         maps.append(between @ maps[-1])
