@@ -195,7 +195,8 @@ class LinearSystem:
     @cached_property
     def _sparse(self) -> tuple[NDArray[Any], ...]:
         """`sparse` of the rows [D C; B A], which sum over inputs and states."""
-        return sparse(np.block([[self._D, self._C], [self.B, self.A]]))
+        by_inputs, by_states = (np.concatenate(of) for of in ((self._D, self.B), (self._C, self.A)))
+        return sparse(np.concatenate([by_inputs, by_states], axis=1))
 
 
 def sparse(rows: FloatArray) -> tuple[NDArray[Any], ...]:

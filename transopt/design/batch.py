@@ -98,7 +98,9 @@ class Batch:
         if self._stated is not None:
             return self._stated
         # A solver that broke down returns NaN; the integrator plays zeros instead.
-        commands = [np.nan_to_num(d.solution.command, nan=0.0, posinf=0.0, neginf=0.0) for d in self.designed]
+        commands = np.nan_to_num(
+            np.stack([d.solution.command for d in self.designed]), nan=0.0, posinf=0.0, neginf=0.0
+        )
         return np.stack([d.problem.transient_command(c) for d, c in zip(self.designed, commands, strict=True)])
 
     @cached_property

@@ -32,11 +32,12 @@ class EntryArrays:
         for name, array in ARRAYS.items():
             if array.made is None:
                 continue
-            values = [array.made(entry) for entry in column]
-            if name not in self._found:
-                kind = object if array.is_text else float
-                self._found[name] = np.empty((*self._shape, *np.shape(values[0])), dtype=kind)
-            self._found[name][:, self._number] = values
+            for row, entry in enumerate(column):
+                value = array.made(entry)
+                if name not in self._found:
+                    kind = object if array.is_text else float
+                    self._found[name] = np.empty((*self._shape, *np.shape(value)), dtype=kind)
+                self._found[name][row, self._number] = value
         self._number += 1
 
     def arrays(self, entries: Sequence[Sequence[Entry]], further: Sequence[str]) -> dict[str, Any]:

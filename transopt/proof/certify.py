@@ -307,12 +307,12 @@ def relaxed_bound(effect: Effect, multipliers: Multipliers) -> float:
     return certify(relaxed, command, priced, effect=effect.of(relaxed)).lower_bound
 
 
-def spans_ms(problem: TransientProblem, active: NDArray[np.bool_]) -> str:
-    """The time spans in which a limit is active, in milliseconds after contact."""
-    framed = np.concatenate([[False], active, [False]])
-    firsts, afters = np.flatnonzero(framed[1:] != framed[:-1]).reshape(-1, 2).T
+def _spans_ms(problem: TransientProblem, stages: NDArray[np.intp]) -> str:
+    """The time spans of ascending stages, in milliseconds after contact."""
+    ends = np.flatnonzero(np.diff(stages) > 1)
+    firsts, lasts = stages[np.append(0, ends + 1)], stages[np.append(ends, -1)]
     times_ms = problem.grid.switching_times_s * 1e3
-    spans = zip(times_ms[firsts].tolist(), times_ms[afters - 1].tolist(), strict=True)
+    spans = zip(times_ms[firsts].tolist(), times_ms[lasts].tolist(), strict=True)
     return ", ".join(f"{first:.2f}" + (f" to {last:.2f}" if last > first else "") for first, last in spans)
 
 
@@ -327,16 +327,17 @@ def binding_limits(
     ----------
     effect : effect of this command in this problem, if it is known already.
     """
-    rows: dict[str, NDArray[np.bool_]] = {}
+    stages: dict[str, NDArray[np.intp]] = {}
     for box in boxes_of(effect or Effect(problem, command), multipliers, above=BINDING_MULTIPLIER):
         near = BINDING_SLACK * abs(box.limit.stated)
         for side, mu, bound in (("upper", box.by_upper, box.upper), ("lower", box.by_lower, box.lower)):
-            active = (mu > BINDING_MULTIPLIER) & (np.abs(bound - box.value) < near)
-            if not active.any():
+            at = np.flatnonzero(mu > BINDING_MULTIPLIER)
+            at = at[np.abs(bound[at] - box.value[at]) < near]
+            if not at.size:
                 continue
             two_sided = bool(np.isfinite(box.lower).any())
             label = f"{box.name} {box.limit.said(side, two_sided=two_sided)} {box.unit}".rstrip()
             label = f"{label} {box.condition}".rstrip()
-            rows[label] = rows[label] | active if label in rows else active
-    found = sorted((int(np.argmax(active)), label) for label, active in rows.items())
-    return "; ".join(f"{label} at {spans_ms(problem, rows[label])} ms" for _, label in found) or "none"
+            stages[label] = np.union1d(stages[label], at) if label in stages else at
+    found = sorted((int(at[0]), label) for label, at in stages.items())
+    return "; ".join(f"{label} at {_spans_ms(problem, stages[label])} ms" for _, label in found) or "none"

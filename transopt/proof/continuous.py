@@ -25,6 +25,7 @@ STEP_RADIUS = 0.5  # largest |eigenvalue| times step at the start; an unresolved
 STEP_ERROR = 1e-10  # wanted relative difference between results with a step and with half of it
 MOST_HALVINGS = 6
 AFTER_S = 20e-3  # least simulated time after the waveform
+SMALLEST = float(np.finfo(float).tiny)
 AGREEMENT = 1e-6  # largest accepted difference between replay and prediction, relative to the peak
 # If link and current forces cancel at the switching instants (a mass on a link that decays within one tick), y'' is
 # the rounding error of C x and D i. Differences up to this share of the two are not significant.
@@ -33,7 +34,7 @@ ROUNDING = 16 * float(np.finfo(float).eps)
 
 def peak_scale(peak_m_s2: FloatArray, rounding_m_s2: FloatArray | float) -> FloatArray:
     """The peak, as reference for relative differences; raised where `AGREEMENT` of it is below rounding errors."""
-    return np.maximum(np.maximum(peak_m_s2, rounding_m_s2 / AGREEMENT), np.finfo(float).tiny)
+    return np.maximum(np.maximum(peak_m_s2, rounding_m_s2 / AGREEMENT), SMALLEST)
 
 
 def _radau(stages: int) -> tuple[FloatArray, FloatArray]:

@@ -6,6 +6,7 @@ every fine step.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -69,7 +70,7 @@ class Replay:
 
     __repr__ = brief
 
-    @property
+    @cached_property
     def scale_m_s2(self) -> float:
         """Reference for relative differences of y''."""
         return float(peak_scale(np.abs(self.acceleration_m_s2).max(), self.rounding_m_s2))
@@ -236,11 +237,13 @@ def _temperatures(
     playing = int(np.searchsorted(starts, grid.end_s - 1e-9 * grid.dt_s))
     lengths = np.diff(starts[: playing + 1])
     # One step per segment is exact, as the command is constant within it.
-    before = np.stack([course.inputs(0)[:, 0], course.inputs(1)[:, 0]], axis=2).reshape(M, -1)[:, :playing]
+    whole = slice((playing + 1) // 2)
+    before = np.stack([course.inputs(half)[:, 0, whole] for half in range(2)], axis=2).reshape(M, -1)[:, :playing]
     if amplifier is None:
         heat = effective_square(before, coil.ripple_A)
     else:
-        felt = course.acting[:, [0, period.late]].swapaxes(1, 2).reshape(M, -1)[:, :playing]
+        felt = np.stack([course.acting[:, command, whole] for command in (0, period.late)], axis=2)
+        felt = felt.reshape(M, -1)[:, :playing]
         heat = following_square_mean(before, felt, amplifier.rate_rad_s * lengths, coil.ripple_A)
     rate_Hz = None if budgets is None else budgets[0].tap_rate_Hz
     if budgets is None or rate_Hz is None:

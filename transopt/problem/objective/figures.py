@@ -139,9 +139,11 @@ class Yardstick:
         along = accelerations_m_s2[:, 0] if accelerations_m_s2.ndim > 2 else accelerations_m_s2
         lost, N = targets[0].before_m_s2.size, targets[0].window_m_s2.size
         recorded = np.stack([target.recorded_m_s2 for target in targets])
-        made = np.stack([target.free_m_s2 for target in targets])
+        both = np.empty((2, *recorded.shape))
+        off, made = both
+        np.stack([target.free_m_s2 for target in targets], out=made)
         made[:, lost:] += along[:, : made.shape[1] - lost]
-        off = made - recorded
+        np.subtract(made, recorded, out=off)
         first = self._intention(lost, off.shape[1])
         tail, meant = off[:, lost + N :], recorded[:, first]
         size, change, swept = _size(meant), np.sum(meant, axis=1), np.sum(np.abs(meant), axis=1)
@@ -153,7 +155,7 @@ class Yardstick:
             if first.stop < off.shape[1] and self._bump:
                 bump = np.abs(_through(self._bump, off)[:, first.stop :]).max(axis=1)
         if self._felt:
-            off_felt, made_felt = _through(self._felt, np.stack([off, made]))
+            off_felt, made_felt = _through(self._felt, both)
             felt_off, felt_made, felt_recorded = map(_size, (off_felt, made_felt, made_felt - off_felt))
             felt_error, felt_dB = _over(felt_off, felt_recorded), _dB(felt_made**2, felt_recorded**2)
         columns = (
