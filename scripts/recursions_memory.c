@@ -37,7 +37,10 @@ static struct sparse sparse_of(size_t height, size_t width, const double *rows)
     return (struct sparse){starts, columns, values};
 }
 
-static void freed(struct sparse rows) { free((void *)rows.starts), free((void *)rows.columns), free((void *)rows.values); }
+static void freed(struct sparse rows)
+{
+    free((void *)rows.starts), free((void *)rows.columns), free((void *)rows.values);
+}
 
 /* x_k = P_(k-1) x_(k-1) + f_k, or against time with the transposes; `step` doubles from one matrix to the next. */
 static void expected(size_t count, size_t m, const double *P, size_t step, int back, double *x)
@@ -110,17 +113,19 @@ int main(void)
                         double *found = doubles(number * (size_t)q * K), *x = doubles(n), *next = doubles(n);
                         const double *u = all + last * (size_t)p * K, *y = found + last * (size_t)q * K;
                         const size_t wide = (size_t)p + n;
-                        double *rows = doubles(((size_t)q + n) * wide), *state = doubles(number * n), sums = 0, most = 0;
-                        double *largest = doubles(number);
+                        double *rows = doubles(((size_t)q + n) * wide), *state = doubles(number * n);
+                        double *largest = doubles(number), sums = 0, most = 0;
                         for (size_t i = 0; i < (size_t)q + n; i++)
                             for (size_t j = 0; j < wide; j++) {
                                 const size_t row = i < (size_t)q ? n + i : i - (size_t)q;
                                 rows[i * wide + j] = S[(j < (size_t)p ? n + j : j - (size_t)p) * width + row];
                             }
                         const struct sparse given = sparse_of((size_t)q + n, wide, rows);
-                        tr_courses(number, K, m, p, q, (int)width, S, given.starts, given.columns, given.values, all, found, back);
+                        tr_courses(number, K, m, p, q, (int)width, S, given.starts, given.columns, given.values, all,
+                                   found, back);
                         memset(state, 0, number * n * sizeof(double));
-                        tr_largest(number, K, m, p, q, q, given.starts, given.columns, given.values, all, state, largest);
+                        tr_largest(number, K, m, p, q, q, given.starts, given.columns, given.values, all, state,
+                                   largest);
                         memset(x, 0, n * sizeof(double));
                         for (size_t s = 0; s < K; s++) {
                             const size_t k = back ? K - 1 - s : s;

@@ -281,6 +281,17 @@ class Period:
         rows : (r, R + m) weights of the rows of the flow and of the commands that act.
         offset : rows to whose values an offset is added, in the order in which their offsets follow the commands.
         """
+        key = rows.tobytes(), tuple(offset)
+        if key not in self._sampled:
+            self._sampled[key] = self._to_values(rows, offset)
+        return self._sampled[key]
+
+    @cached_property
+    def _sampled(self) -> dict[tuple[bytes, tuple[int, ...]], LinearSystem]:
+        return {}
+
+    def _to_values(self, rows: FloatArray, offset: Sequence[int]) -> LinearSystem:
+        """`sampled`, made anew."""
         n, K, acting = self.flow.A.shape[0], self.to_samples.shape[2], self._acting.shape[1]
         values = np.tensordot(rows, self.to_samples, 1).swapaxes(1, 2)
         direct = np.zeros((len(rows), K, acting + 3 * len(offset)))

@@ -1,6 +1,6 @@
 /* Linear recursions over the stages of a transient, linear systems with inputs and outputs, the temperatures of a coil,
- * a linear system that strikes a contact, and a spline, whose slopes satisfy such a recursion. Recursions work in place:
- * x holds the forcing of every stage at first and the states at the end. All arrays are row by row. C99 without
+ * a linear system that strikes a contact, and a spline, whose slopes satisfy such a recursion. Recursions work in
+ * place: x holds the forcing of every stage at first and the states at the end. All arrays are row by row. C99 without
  * dependencies, no global state, no allocation.
  */
 #include <float.h>
@@ -20,8 +20,18 @@ enum { MOST_STATES = 64, MOST_WIDTH = 96, MOST_LARGEST = 192, WIDE = 8 };
 /* Time series are processed side by side in a register of the widest kind; without vector extensions one by one. */
 #if defined(__GNUC__)
 typedef double wide __attribute__((vector_size(64)));
+typedef int64_t wide_bits __attribute__((vector_size(64)));
+ALWAYS_INLINE void to_magnitude(wide *x) { *x = (wide)((wide_bits)*x & INT64_MAX); }
+/* Magnitudes are in the order of their bits, in which NaN is above all. */
+ALWAYS_INLINE void keep_larger(const wide *x, wide *most)
+{
+    const wide_bits a = (wide_bits)*x, b = (wide_bits)*most, more = a > b;
+    *most = (wide)((more & a) | (~more & b));
+}
 #else
 typedef double wide;
+ALWAYS_INLINE void to_magnitude(wide *x) { *x = fabs(*x); }
+ALWAYS_INLINE void keep_larger(const wide *x, wide *most) { *most = (*x > *most) | (*x != *x) ? *x : *most; }
 #endif
 enum { ABREAST = sizeof(wide) / sizeof(double) };
 
@@ -159,9 +169,8 @@ ALWAYS_INLINE void courses_in(const int registers, COURSES_ARGUMENTS)
 {
     /* Inputs and outputs of some steps at a time: those of one course stand together in memory. */
     const int height = inputs + (terms ? 0 : outputs), fit = 2 * MOST_WIDTH / height, block = fit < STEPS ? fit : STEPS;
-    lanes z[MOST_WIDTH + MOST_STATES], next[MOST_STATES], held[2 * MOST_WIDTH], sum;
-    double column[LANES] = {0}, columns[STEPS][LANES] = {{0}}, whole[LANES], most[MOST_LARGEST][LANES];
-    const int side_by_side = registers * ABREAST;
+    lanes z[MOST_WIDTH + MOST_STATES], next[MOST_STATES], held[2 * MOST_WIDTH], most[MOST_LARGEST], sum, whole;
+    double column[LANES] = {0}, columns[STEPS][LANES] = {{0}};
     const ptrdiff_t ahead = back ? -1 : 1;
     memset(z, 0, (size_t)(inputs + m) * sizeof *z);
     if (terms) memset(most, 0, (size_t)(outputs / terms) * sizeof *most);
@@ -185,20 +194,19 @@ ALWAYS_INLINE void courses_in(const int registers, COURSES_ARGUMENTS)
         for (int i = 0; i < outputs && !terms && (t == block - 1 || s == count - 1); i++) {
             for (int j = 0; j <= t; j++) memcpy(columns[j], held + j * height + inputs + i, sizeof *held);
             for (size_t c = 0; c < used; c++) {
-                double *to = y + (c * (size_t)outputs + (size_t)i) * count + (back ? count - 1 - s + (size_t)t : s - (size_t)t);
+                const size_t first = back ? count - 1 - s + (size_t)t : s - (size_t)t;
+                double *to = y + (c * (size_t)outputs + (size_t)i) * count + first;
                 for (int j = 0; j <= t; j++) to[j * ahead] = columns[j][c];
             }
         }
         for (int i = 0; terms && i < outputs / terms; i++) {
-            memset(whole, 0, sizeof whole);
-            for (int j = 0; j < terms; j++, row++) {
-                sum_of(registers, rows, row, z, &sum);
-                memcpy(column, &sum, (size_t)side_by_side * sizeof *column);
-                for (int c = 0; c < side_by_side; c++) whole[c] += fabs(column[c]);
+            sum_of(registers, rows, row++, z, &whole);
+            for (int r = 0; r < registers; r++) to_magnitude(whole.in + r);
+            for (int j = 1; j < terms; j++) {
+                sum_of(registers, rows, row++, z, &sum);
+                for (int r = 0; r < registers; r++) to_magnitude(sum.in + r), whole.in[r] += sum.in[r];
             }
-            /* A NaN stays. */
-            for (int c = 0; c < side_by_side; c++)
-                most[i][c] = (whole[c] > most[i][c]) | (whole[c] != whole[c]) ? whole[c] : most[i][c];
+            for (int r = 0; r < registers; r++) keep_larger(whole.in + r, most[i].in + r);
         }
         for (int i = 0; i < m; i++, row++) sum_of(registers, rows, row, z, next + i);
         for (int i = 0; i < m; i++)
@@ -208,8 +216,10 @@ ALWAYS_INLINE void courses_in(const int registers, COURSES_ARGUMENTS)
         memcpy(column, z + inputs + i, sizeof column);
         for (size_t c = 0; c < used; c++) state[c * (size_t)m + (size_t)i] = column[c];
     }
-    for (int i = 0; terms && i < outputs / terms; i++)
-        for (size_t c = 0; c < used; c++) y[c * (size_t)(outputs / terms) + (size_t)i] = most[i][c];
+    for (int i = 0; terms && i < outputs / terms; i++) {
+        memcpy(column, most + i, sizeof column);
+        for (size_t c = 0; c < used; c++) y[c * (size_t)(outputs / terms) + (size_t)i] = column[c];
+    }
 }
 
 ALWAYS_INLINE void courses(COURSES_ARGUMENTS)
@@ -515,9 +525,10 @@ ALWAYS_INLINE double power(double x, double exponent)
     return y > 700 ? INFINITY : y < -700 ? 0 : e;
 }
 
-/* One block of up to LANES courses in this many registers, see `tr_struck`; `starts` of the rows among their entries. */
+/* One block of up to LANES courses in this many registers, see `tr_struck`. */
 ALWAYS_INLINE void strike_in(const int registers, const size_t steps, const int n, const int outputs,
-                             const size_t columns, const struct sparse *rows, const double *contact, lanes *restrict z, double *found, const size_t used)
+                             const size_t columns, const struct sparse *rows, const double *contact,
+                             lanes *restrict z, double *found, const size_t used)
 {
     lanes seen[2], next[MOST_OUTPUTS + MOST_STATES];
     double depth[LANES], closing[LANES], force[LANES];
