@@ -11,7 +11,7 @@ from transopt.plant.coil import CoilModel
 from transopt.problem.baselines import clipped_optimum, input_bounds, seed_inversion
 from transopt.problem.objective.figures import Figures
 from transopt.problem.objective.target import Target
-from transopt.proof.continuous import Accurate, accurate
+from transopt.proof.continuous import Course, accurate
 from transopt.proof.designed import Designed
 from transopt.proof.replay import Replay, figures_of, replayed, replayed_figures
 
@@ -87,7 +87,7 @@ class Batch:
         return self._with_rivals and self.designed[0].problem.wall is None
 
     @cached_property
-    def _together(self) -> Accurate:
+    def _together(self) -> Course:
         """One simulation of the M answers followed by the 4 M baselines."""
         problem = self.designed[0].problem
         return accurate(problem.stage, problem.grid, np.concatenate([self._transients, self._rival_commands]), None)

@@ -175,11 +175,6 @@ class Period:
         """Number of simulated periods, until `after_s` after tau_N."""
         return self.grid.stages + self.segments[0].behind + int(np.ceil(after_s(self.grid) / self.grid.dt_s))
 
-    @property
-    def instants(self) -> int:
-        """Number of switching instants in window and tail."""
-        return self.grid.stages + self.grid.after_stages
-
     @cached_property
     def _acting(self) -> FloatArray:
         """(2 m, (1 + late) m) map of the commands that act to those of both segments."""
@@ -264,7 +259,7 @@ class Period:
     def at_switching(self) -> slice:
         """The periods whose arriving segments start at the switching instants of window and tail."""
         behind = self.segments[self.arriving].behind
-        return slice(behind, behind + self.instants)
+        return slice(behind, behind + self.grid.stages + self.grid.after_stages)
 
     def issued(self, commands: FloatArray) -> FloatArray:
         """(M, m, periods + late or more) commands (M, m, N) with zeros before the first and after the last."""
@@ -281,17 +276,6 @@ class Period:
         rows : (r, R + m) weights of the rows of the flow and of the commands that act.
         offset : rows to whose values an offset is added, in the order in which their offsets follow the commands.
         """
-        key = rows.tobytes(), tuple(offset)
-        if key not in self._sampled:
-            self._sampled[key] = self._to_values(rows, offset)
-        return self._sampled[key]
-
-    @cached_property
-    def _sampled(self) -> dict[tuple[bytes, tuple[int, ...]], LinearSystem]:
-        return {}
-
-    def _to_values(self, rows: FloatArray, offset: Sequence[int]) -> LinearSystem:
-        """`sampled`, made anew."""
         n, K, acting = self.flow.A.shape[0], self.to_samples.shape[2], self._acting.shape[1]
         values = np.tensordot(rows, self.to_samples, 1).swapaxes(1, 2)
         direct = np.zeros((len(rows), K, acting + 3 * len(offset)))
@@ -330,15 +314,17 @@ class Course:
     period : the map of every period.
     acting : (M, (1 + late) m, periods) commands that act in every period.
     command : (M, N), or (M, m, N) with m motors: issued commands.
+    step_error : (M,) largest difference of y'' from the result with twice the step, relative to its peak.
     """
 
     period: Period
     acting: FloatArray
     command: FloatArray
+    step_error: FloatArray
 
-    def of(self, taps: slice | list[int]) -> "Course":
+    def of(self, taps: slice) -> "Course":
         """The course of some of the taps."""
-        found = Course(self.period, self.acting[taps], self.command[taps])
+        found = Course(self.period, self.acting[taps], self.command[taps], self.step_error[taps])
         vars(found)["starting"] = self.starting[taps]
         return found
 
@@ -410,35 +396,12 @@ def _play(stage: StageModel, commands: FloatArray, period: Period, loop: Loop | 
             x = x @ A.T + only[:, k : k + 1 + late] @ B.T
         commands = only[:, behind : behind + N]
     acting = np.concatenate([issued[..., by : by + periods] for by in range(1 + late)], axis=1)
-    return Course(period, acting, commands)
+    return Course(period, acting, commands, np.full(M, np.nan))
 
 
 def after_s(grid: TimeGrid) -> float:
     """Simulated time after the waveform: at least `AFTER_S`, and the problem's whole tail."""
     return max(AFTER_S, grid.after_stages * grid.dt_s)
-
-
-@dataclass(frozen=True)
-class Accurate:
-    """M commands played with a sufficiently fine Runge-Kutta step.
-
-    Attributes
-    ----------
-    step_error : (M,) largest difference of y'' from the result with twice the step, relative to its peak.
-    course : the taps.
-    """
-
-    step_error: FloatArray
-    course: Course
-
-    @property
-    def acceleration_m_s2(self) -> FloatArray:
-        """(M, instants), or (M, p, instants): y'' just after the switching instants of window and tail."""
-        return self.course.accelerations
-
-    def of(self, taps: slice) -> "Accurate":
-        """The replay of some of the commands."""
-        return Accurate(self.step_error[taps], self.course.of(taps))
 
 
 def largest(values: FloatArray) -> FloatArray:
@@ -447,7 +410,7 @@ def largest(values: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(flat.max(axis=1, initial=0.0), -flat.min(axis=1, initial=0.0)))
 
 
-def accurate(stage: StageModel, grid: TimeGrid, commands: FloatArray, loop: Loop | None) -> Accurate:
+def accurate(stage: StageModel, grid: TimeGrid, commands: FloatArray, loop: Loop | None) -> Course:
     """Play commands (M, N), or (M, m, N) [A], halving the step until that changes y'' by at most `STEP_ERROR`.
 
     After `MOST_HALVINGS` the finest course is returned with the `step_error` that remains.
@@ -473,10 +436,10 @@ def accurate(stage: StageModel, grid: TimeGrid, commands: FloatArray, loop: Loop
         )
         found = course.accelerations
         difference, peak = largest(found - coarse), largest(found)
-        step_error = difference / peak_scale(peak, 0.0)
-        if not np.all(step_error <= STEP_ERROR):
-            step_error = difference / peak_scale(peak, course.rounding)
-        coarse = found
-        if np.all(step_error <= STEP_ERROR):
+        course.step_error[:] = difference / peak_scale(peak, 0.0)
+        if not np.all(course.step_error <= STEP_ERROR):
+            course.step_error[:] = difference / peak_scale(peak, course.rounding)
+        if np.all(course.step_error <= STEP_ERROR):
             break
-    return Accurate(step_error, course)
+        coarse = found
+    return course

@@ -95,48 +95,30 @@ def _integrated(
     return _Course(times, np.moveaxis(states.reshape(samples, n, M), 0, -1).swapaxes(0, 1), felt.T, instants)
 
 
-@dataclass(frozen=True)
-class _Trajectory:
-    """The K samples of each of M taps, as in `Motion`.
-
-    Attributes
-    ----------
-    times_s : (K,) times, contact at 0.
-    motion : (M, K) each; that of the encoder is left out.
-    felt : (M, K) command that acts on the amplifier.
-    at_switching : (N,) indices of the samples just after each switching instant.
-    """
-
-    times_s: FloatArray
-    motion: Motion
-    felt: FloatArray
-    at_switching: NDArray[np.intp]
-
-
-def _trajectory(stage: NonlinearStage, grid: TimeGrid, course: _Course) -> _Trajectory:
+def _motion(stage: NonlinearStage, course: _Course) -> Motion:
+    """(M, K) motion at all samples, without that of the encoder."""
     states = list(course.states.swapaxes(0, 1))
     _, u = stage.split(states, course.felt)
     rows = {name: np.einsum("j,mjk->mk", row, course.states) for name, row in stage.rows.items()}
     acceleration = np.asarray(stage.acceleration(states, course.felt, NUMPY))
-    motion = Motion(acceleration, np.array(u), rows[VELOCITY], np.zeros(0), rows)
-    return _Trajectory(course.times_s, motion, course.felt, course.instants[: grid.stages])
+    return Motion(acceleration, np.array(u), rows[VELOCITY], np.zeros(0), rows)
 
 
-def _reached(run: _Trajectory, limit: Limit, posed: Played) -> tuple[FloatArray, FloatArray]:
+def _reached(course: _Course, motion: Motion, limit: Limit, posed: Played) -> tuple[FloatArray, FloatArray]:
     """(M,) largest absolute values that a limit bounds, in all and up to tau_(N-1)."""
-    grid, taps = posed.grid, len(run.felt)
+    grid, taps, times_s = posed.grid, len(course.felt), course.times_s
     instants = np.append(grid.switching_times_s, grid.end_s)
     # A switching instant has two samples, just before and just after it; the later one has its command.
-    first, over, last = 0, int(run.at_switching[-1]) + 1, run.times_s.size
+    first, over, last = 0, int(course.instants[grid.stages - 1]) + 1, times_s.size
     if not limit.after_the_waveform:
-        first = int(np.searchsorted(run.times_s, grid.switching_times_s[0], side="left"))
-        last = int(np.searchsorted(run.times_s, grid.end_s, side="right"))
+        first = int(np.searchsorted(times_s, grid.switching_times_s[0], side="left"))
+        last = int(np.searchsorted(times_s, grid.end_s, side="right"))
     early, late = np.zeros(taps), np.zeros(taps)
     for row in limit.watched(posed):
         offset = row.offset
         if isinstance(offset, np.ndarray):
-            offset = np.interp(run.times_s, instants[: offset.size], offset)
-        values = np.abs(replace(row, offset=offset).value(run.motion, run.felt))
+            offset = np.interp(times_s, instants[: offset.size], offset)
+        values = np.abs(replace(row, offset=offset).value(motion, course.felt))
         early = np.maximum(early, values[:, first:over].max(axis=1) / row.share)
         late = np.maximum(late, values[:, over:last].max(axis=1, initial=0.0) / row.share)
     return np.maximum(early, late), early
@@ -186,21 +168,21 @@ def played_nonlinear(
         sizes = np.where(peaks > 0, peaks, 1.0)
         course = _integrated(stage, grid, played, sizes, RELATIVE)
         coarse = _integrated(stage, grid, played, sizes, COARSER * RELATIVE)
-        run, other = (_trajectory(stage, grid, each) for each in (course, coarse))
-        found, before = (each.motion.acceleration_m_s2[:, course.instants] for each in (run, other))
+        run, other = (_motion(stage, each) for each in (course, coarse))
+        found, before = (each.acceleration_m_s2[:, course.instants] for each in (run, other))
         error = np.abs(found - before).max(axis=1) / peak_scale(np.abs(found).max(axis=1), 0.0)
         posed = Played((at_rest,), grid, watched)
-        reached = {limit.name: _reached(run, limit, posed) for limit in watched}
-    later = run.times_s > grid.end_s
+        reached = {limit.name: _reached(course, run, limit, posed) for limit in watched}
+    later = course.times_s > grid.end_s
     return [
         Replay(
             acceleration_m_s2=found[m, :N],
-            plant_input=run.motion.plant_input[m, course.instants[:N]],
+            plant_input=run.plant_input[m, course.instants[:N]],
             figures=yardstick.figures(target, found[m]),
             after_m_s2=found[m, N:],
-            peak_input=float(np.abs(run.motion.plant_input[m]).max()),
+            peak_input=float(np.abs(run.plant_input[m]).max()),
             peak_command=float(np.abs(played[m]).max()),
-            after_peak_m_s2=float(np.abs(run.motion.acceleration_m_s2[m, later]).max()),
+            after_peak_m_s2=float(np.abs(run.acceleration_m_s2[m, later]).max()),
             reached={name: float(whole[m]) for name, (whole, _) in reached.items()},
             reached_while_stated={name: float(early[m]) for name, (_, early) in reached.items()},
             winding_C=float("nan"),

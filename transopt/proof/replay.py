@@ -4,7 +4,7 @@
 every fine step.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -25,7 +25,7 @@ from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.figures import Figures, Yardstick
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
-from transopt.proof.continuous import AGREEMENT, Accurate, Course, Loop, accurate, largest, lone, peak_scale
+from transopt.proof.continuous import AGREEMENT, Course, Loop, accurate, largest, lone, peak_scale
 from transopt.proof.flow import Flow
 
 
@@ -119,10 +119,10 @@ def replayed_figures(
     return figures_of(accurate(stage, yardstick.grid, commands, None), yardstick, targets)
 
 
-def figures_of(simulated: Accurate, yardstick: Yardstick, targets: Sequence[Target]) -> list[Figures]:
+def figures_of(simulated: Course, yardstick: Yardstick, targets: Sequence[Target]) -> list[Figures]:
     """Figures of M simulated commands relative to their targets."""
     with np.errstate(over="ignore", invalid="ignore"):  # the loop of an unstable wall overflows
-        return yardstick.figures_of(targets, simulated.acceleration_m_s2)
+        return yardstick.figures_of(targets, simulated.accelerations)
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,14 @@ class Played:
 
 @dataclass(frozen=True)
 class _Watched:
-    """A row that a limit bounds at all times: its weights in `Period.sampled`, and the length of its offset."""
+    """A row that a limit bounds at all times.
+
+    Attributes
+    ----------
+    weights : (R + m) its weights in `Period.sampled`.
+    moves : length of its offset; 0 where it has none.
+    late : whether it is bounded after the waveform too.
+    """
 
     limit: str
     device: int
@@ -161,70 +168,58 @@ class _Watched:
         return cls(limit.name, row.device, tuple(weights.tolist()), moves, row.share, limit.after_the_waveform)
 
 
-def _alike(
+def _watched(
     limits: Sequence[Limits], devices: tuple[StageModel, ...], flow: Flow, grid: TimeGrid
-) -> Iterator[tuple[list[int], tuple[_Watched, ...], list[list[Row]]]]:
-    """The members of `limits` that bound the same rows up to their offsets, with their rows."""
-    known, groups = dict[object, list[tuple[_Watched, Row]]](), dict[tuple[_Watched, ...], list[int]]()
-    rows = list[list[Row]]()
+) -> dict[_Watched, dict[int, Row]]:
+    """The rows that limits bound at all times, each with the row of every command that has it."""
+    known, found = dict[object, list[tuple[_Watched, Row]]](), dict[_Watched, dict[int, Row]]()
     for m, of_entry in enumerate(limits):
-        bounded = list[tuple[_Watched, Row]]()
         for limit in of_entry:
             key = limit if limit.is_hashable else id(limit)
             if key not in known:
-                watched = limit.watched(Played(devices, grid, of_entry))
-                known[key] = [(_Watched.of(limit, row, flow), row) for row in watched]
-            bounded += known[key]
-        groups.setdefault(tuple(watched for watched, _ in bounded), []).append(m)
-        rows.append([row for _, row in bounded])
-    for alike, members in groups.items():
-        yield members, alike, [rows[m] for m in members]
+                rows = limit.watched(Played(devices, grid, of_entry))
+                known[key] = [(_Watched.of(limit, row, flow), row) for row in rows]
+            for watched, row in known[key]:
+                found.setdefault(watched, {})[m] = row
+    return found
 
 
 def _peaks(
-    runs: Sequence[Accurate], limits: Sequence[Limits], devices: tuple[StageModel, ...], grid: TimeGrid
-) -> list[tuple[dict[str, float], dict[str, float], float, float]]:
-    """For each command the largest absolute value that each limit bounds, in all and up to tau_(N-1).
+    runs: Sequence[Course], limits: Sequence[Limits], devices: tuple[StageModel, ...], grid: TimeGrid
+) -> tuple[dict[str, FloatArray], dict[str, FloatArray], FloatArray, FloatArray]:
+    """(M,) largest absolute value that each limit bounds, in all and up to tau_(N-1), by name of the limit.
 
-    After these the largest absolute values of the plant's input and, after tau_N, of y''.
+    After these (M,) largest absolute values of the plant's input and, after tau_N, of y''.
 
     Parameters
     ----------
     runs : the same commands on the entry's own device and, if a limit depends on them, on those of its spread.
     devices : the devices of `runs`; further ones are not used.
     """
-    flow = runs[0].course.period.flow
+    flow, M = runs[0].period.flow, len(limits)
     (R, _), (_, m), p = flow.rows.shape, flow.B.shape, flow.tracked
-    own = np.eye(R + m)
-    found: list[tuple[dict[str, float], dict[str, float], float, float]] = [({}, {}, 0.0, 0.0)] * len(limits)
-    for taps, watched, rows in _alike(limits, devices, flow, grid):
-        whole = {each.limit: np.zeros(len(taps)) for each in watched}
-        whole |= {limit.name: np.zeros(len(taps)) for limit in limits[taps[0]]}
-        early = {name: values.copy() for name, values in whole.items()}
-        for number, run in enumerate(runs):
-            of_device = [i for i, each in enumerate(watched) if each.device == number]
-            inputs, after = (own[p : p + m], own[:p]) if number == 0 else (own[:0], own[:0])
-            weights = np.array([watched[i].weights for i in of_device]).reshape(-1, R + m)
-            moved = {
-                j: np.array([np.atleast_1d(of_tap[i].offset) for of_tap in rows])
-                for j, i in enumerate(of_device, start=len(inputs))
-                if watched[i].moves
-            }
-            with np.errstate(over="ignore", invalid="ignore"):  # the loop of an unstable wall overflows
-                course = run.course if len(taps) == len(limits) else run.course.of(taps)
-                values, lasting = course.reached(np.vstack([inputs, weights]), moved, after)
-            if number == 0:
-                peaks = values[:, :m].max(axis=(1, 2)), lasting.max(axis=1)
-            for j, i in enumerate(of_device, start=len(inputs)):
-                each, value = watched[i], values[:, j] / watched[i].share
-                # Limits that a wall cannot exceed after the waveform have no meaning before it either.
-                of_early, of_whole = (value[:, :2], value) if each.late else (value[:, 1:2], value[:, 1:3])
-                np.maximum(early[each.limit], of_early.max(axis=1), out=early[each.limit])
-                np.maximum(whole[each.limit], of_whole.max(axis=1), out=whole[each.limit])
-        columns = [np.stack([*of.values()], axis=1).tolist() if of else [[]] * len(taps) for of in (whole, early)]
-        for tap, row, row_early, of_input, later in zip(taps, *columns, *(x.tolist() for x in peaks), strict=True):
-            found[tap] = dict(zip(whole, row, strict=True)), dict(zip(early, row_early, strict=True)), of_input, later
-    return found
+    rows, own = _watched(limits, devices, flow, grid), np.eye(R + m)
+    whole, early = ({limit.name: np.zeros(M) for of_entry in limits for limit in of_entry} for _ in range(2))
+    for number, run in enumerate(runs):
+        inputs, after = (own[p : p + m], own[:p]) if number == 0 else (own[:0], own[:0])
+        of_device, offsets = [each for each in rows if each.device == number], dict[int, FloatArray]()
+        for j, each in enumerate(of_device, start=len(inputs)):
+            if each.moves:
+                offsets[j] = np.zeros((M, each.moves))
+                for tap, row in rows[each].items():
+                    offsets[j][tap] = row.offset
+        weights = np.array([*inputs, *(each.weights for each in of_device)]).reshape(-1, R + m)
+        with np.errstate(over="ignore", invalid="ignore"):  # the loop of an unstable wall overflows
+            values, lasting = run.reached(weights, offsets, after)
+        if number == 0:
+            of_input, of_motion = values[:, :m].max(axis=(1, 2)), lasting.max(axis=1)
+        for j, each in enumerate(of_device, start=len(inputs)):
+            # One that ends with the waveform has no meaning before it either.
+            parts = slice(4) if each.late else slice(1, 3)
+            for found, part in ((whole, parts), (early, slice(parts.start, 2))):
+                value = values[:, j, part].max(axis=1) / each.share
+                found[each.limit] = np.maximum(found[each.limit], value)
+    return whole, early, of_input, of_motion
 
 
 def _temperatures(
@@ -267,7 +262,7 @@ def replay(
     walls: Sequence[HandOver] | None = None,
     budgets: Sequence[Budget] | None = None,
     count_m: float = 0.0,
-    simulated: Accurate | None = None,
+    simulated: Course | None = None,
     spread: tuple[StageModel, ...] = (),
     yardstick: Yardstick | None = None,
 ) -> list[Replay]:
@@ -294,9 +289,9 @@ def replay(
         loop = None if walls is None else Loop(walls, count_m)
         simulated = accurate(stage, grid, commands, loop)
     figures = figures_of(simulated, Yardstick(grid) if yardstick is None else yardstick, targets)
-    course, step_error, limits = simulated.course, simulated.step_error, limits or [Limits()] * len(commands)
-    runs, rounding = [simulated], course.rounding
-    acceleration, later = np.split(simulated.acceleration_m_s2, [grid.stages], axis=-1)
+    course, step_error, limits = simulated, simulated.step_error, limits or [Limits()] * len(commands)
+    runs = [course]
+    acceleration, later = np.split(course.accelerations, [grid.stages], axis=-1)
     plant_input = lone(course.inputs(course.period.arriving))[..., course.period.at_switching][..., : grid.stages]
     winding = housing = np.full(len(commands), np.nan)
     if coil is not None:
@@ -304,8 +299,10 @@ def replay(
     if any(limit.of_each_device for of_entry in limits for limit in of_entry):
         runs += [accurate(device, grid, commands, None) for device in spread]
         step_error = np.max([run.step_error for run in runs], axis=0)
-    reached = _peaks(runs, limits, (stage, *spread), grid)
-    numbers = np.stack([largest(course.command), winding, housing, rounding, step_error], axis=1).tolist()
+    whole, early, of_input, of_motion = _peaks(runs, limits, (stage, *spread), grid)
+    numbers = np.stack(
+        [of_input, largest(course.command), of_motion, winding, housing, course.rounding, step_error], axis=1
+    )
     return [
         Replay(
             acceleration_m_s2=acceleration[m],
@@ -315,18 +312,17 @@ def replay(
             peak_input=peak_input,
             peak_command=peak_command,
             after_peak_m_s2=after_peak,
-            reached=whole,
-            reached_while_stated=early,
+            reached={limit.name: float(whole[limit.name][m]) for limit in limits[m]},
+            reached_while_stated={limit.name: float(early[limit.name][m]) for limit in limits[m]},
             winding_C=winding_C,
             housing_C=housing_C,
             command=course.command[m],
-            rounding_m_s2=off,
+            rounding_m_s2=rounding,
             step_error=by_step,
         )
-        for m, (
-            (whole, early, peak_input, after_peak),
-            (peak_command, winding_C, housing_C, off, by_step),
-        ) in enumerate(zip(reached, numbers, strict=True))
+        for m, (peak_input, peak_command, after_peak, winding_C, housing_C, rounding, by_step) in enumerate(
+            numbers.tolist()
+        )
     ]
 
 
@@ -336,7 +332,7 @@ def replayed(
     coil: CoilModel | None = None,
     *,
     uncorrected: Sequence[Target] | None = None,
-    simulated: Accurate | None = None,
+    simulated: Course | None = None,
 ) -> list[Replay]:
     """`replay` M commands (M, N), or (M, m, N), each in its problem; with a wall they are the transients.
 

@@ -17,7 +17,7 @@ from transopt.plant.discretise import StageModel, discretise
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify
-from transopt.proof.continuous import _step_map
+from transopt.proof.continuous import _step_maps
 from transopt.scene.strikes import rk4_step
 from transopt.solvers.options import SolverOptions
 
@@ -41,14 +41,10 @@ def test_the_replay_integrator_has_order_nine_until_rounding() -> None:
     exact = linalg.expm(np.block([[A, B], [np.zeros((1, 3))]]) * whole_s)[:2]
     x0 = np.array([1.0, -0.5, 1.0])
     errors, counts = [], [2, 3, 4, 6, 8]
-    for count in counts:
-        P, Q = _step_map(A, B, whole_s / count)
-        step = np.eye(3)
-        step[:2] = np.hstack([P, Q])
+    for count, step in zip(counts, _step_maps(A, B, whole_s / np.array(counts)), strict=True):
         errors.append(float(np.abs((np.linalg.matrix_power(step, count)[:2] - exact) @ x0).max()))
     assert slope([whole_s / count for count in counts], errors) == pytest.approx(9, abs=0.6)
-    P, Q = _step_map(A, B, whole_s / 64)
-    step[:2] = np.hstack([P, Q])
+    (step,) = _step_maps(A, B, np.array([whole_s / 64]))
     assert np.abs(np.linalg.matrix_power(step, 64)[:2] - exact).max() < 1e-13
 
 

@@ -107,11 +107,11 @@ def test_replay_converges_and_says_how_far(make_problem: ProblemMaker) -> None:
     command = np.random.default_rng(1).uniform(-4, 4, 80)
     (played,) = replay(problem.stage, problem.grid, command[None], [problem.target], None)
     assert played.step_error <= 1e-10
-    found = accurate(problem.stage, problem.grid, command[None], None)
-    course, period = found.course, found.course.period
+    course = accurate(problem.stage, problem.grid, command[None], None)
+    period = course.period
     at_starts = period.sampled(np.eye(1, period.to_samples.shape[0])).outputs(course.acting)[0]
     arrived = at_starts[period.arriving * period.segments[0].offsets_s.size, period.at_switching]
-    np.testing.assert_allclose(arrived, found.acceleration_m_s2[0], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(arrived, course.accelerations[0], rtol=1e-12, atol=1e-12)
 
 
 def test_what_a_device_keeps_is_made_again_where_a_part_is_another(make_problem: ProblemMaker) -> None:

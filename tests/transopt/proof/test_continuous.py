@@ -17,8 +17,8 @@ def test_the_largest_values_are_those_of_all_samples(
     problem = make_problem(stages=40)
     grid = replace(problem.grid, delay_s=late_ticks * problem.grid.dt_s, after_stages=after)
     random, N, M = np.random.default_rng(after), grid.stages, 3
-    found = accurate(problem.stage, grid, random.uniform(-4, 4, (M, N)), None)
-    course, period, flow = found.course, found.course.period, found.course.period.flow
+    course = accurate(problem.stage, grid, random.uniform(-4, 4, (M, N)), None)
+    period, flow = course.period, course.period.flow
     K, y, u, felt = period.to_samples.shape[2], 0, flow.tracked, len(flow.rows)
     rows = np.eye(len(flow.rows) + 1)[[u, felt, u]]
     offset = random.standard_normal((M, N + 1))
@@ -52,11 +52,11 @@ def test_the_largest_values_are_those_of_all_samples(
 
 def test_rounding_is_that_of_the_terms_of_the_acceleration(make_problem: ProblemMaker) -> None:
     problem = make_problem(stages=30)
-    found = accurate(problem.stage, problem.grid, np.random.default_rng(0).uniform(-4, 4, (2, 30)), None)
-    period, flow, acting = found.course.period, found.course.period.flow, found.course.acting
+    course = accurate(problem.stage, problem.grid, np.random.default_rng(0).uniform(-4, 4, (2, 30)), None)
+    period, flow, acting = course.period, course.period.flow, course.acting
     n = flow.A.shape[0]
     parts = period.terms.outputs(acting)[..., period.at_switching]
     assert parts.shape[1] == n + 1
-    np.testing.assert_allclose(parts.sum(axis=1), found.acceleration_m_s2, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(parts.sum(axis=1), course.accelerations, rtol=1e-9, atol=1e-9)
     expected = 16 * np.finfo(float).eps * np.abs(parts).sum(axis=1).max(axis=1)
-    np.testing.assert_allclose(found.course.rounding, expected, rtol=1e-12)
+    np.testing.assert_allclose(course.rounding, expected, rtol=1e-12)
