@@ -71,13 +71,12 @@ class Segment:
     ----------
     behind : number of ticks by which c was issued before the period's own command.
     offsets_s : (S,) times of the samples from the start of the period, the segment's start first.
-    P, Q : (S, n, n) and (S, n, m) of x_j = P_j x_0 + Q_j c.
+    maps : (S, n + m, n + m) from states and command (x_0, c) to those at each sample.
     """
 
     behind: int
     offsets_s: FloatArray
-    P: FloatArray
-    Q: FloatArray
+    maps: FloatArray
 
 
 def _segments(flow: Flow, grid: TimeGrid, halvings: int) -> list[Segment]:
@@ -89,7 +88,7 @@ def _segments(flow: Flow, grid: TimeGrid, halvings: int) -> list[Segment]:
     # Two halves without such a fraction too, so that a period always has the same number of samples.
     parted = late > 1e-9 * dt
     ends, behind = np.array([0.0, late if parted else dt / 2, dt]), (whole + parted, whole)
-    n, samples = flow.A.shape[0], SAMPLES_PER_PERIOD // 2
+    samples = SAMPLES_PER_PERIOD // 2
     spacing = np.diff(ends) / samples
     doublings = halvings + np.ceil(np.log2(np.maximum(flow.fastest_rad_s * spacing / STEP_RADIUS, 1.0)))
     between = _step_maps(flow.A, flow.B, spacing / 2**doublings)
@@ -99,7 +98,7 @@ def _segments(flow: Flow, grid: TimeGrid, halvings: int) -> list[Segment]:
     for _ in range(samples):
         maps.append(between @ maps[-1])
     return [
-        Segment(behind[j], np.linspace(ends[j], ends[j + 1], samples + 1), of[:, :n, :n], of[:, :n, n:])
+        Segment(behind[j], np.linspace(ends[j], ends[j + 1], samples + 1), of)
         for j, of in enumerate(np.stack(maps, axis=1))
     ]
 
@@ -185,25 +184,23 @@ class Period:
 
     @cached_property
     def _starts(self) -> tuple[FloatArray, FloatArray]:
-        """(n, n + 2 m) rows of the states at the start of each segment."""
-        first, (n, m) = self.segments[0], self.flow.B.shape
-        return np.eye(n, n + 2 * m), np.hstack([first.P[-1], first.Q[-1], np.zeros((n, m))])
-
-    def _felt(self, segment: int) -> FloatArray:
-        """(m, n + 2 m) rows of the commands of a segment."""
+        """(n + m, n + 2 m) rows of the states at the start of each segment, and of the command that acts in it."""
         n, m = self.flow.B.shape
-        return np.eye(m, n + 2 * m, n + segment * m)
+        first, second = (np.eye(n + m, n + 2 * m), np.eye(n + m, n + 2 * m, m))
+        second[:n] = self.segments[0].maps[-1, :n] @ first
+        return first, second
 
-    def _at_start(self, segment: int, rows: slice) -> FloatArray:
-        """(r, n + 2 m) rows of the flow at the start of a segment."""
-        flow = self.flow
-        return np.asarray(flow.rows[rows] @ self._starts[segment] + flow.direct[rows] @ self._felt(segment))
+    @cached_property
+    def _rows(self) -> FloatArray:
+        """(R + m, n + m) every row of the flow, and the commands, over states and the command that acts."""
+        n, m = self.flow.B.shape
+        return np.block([[self.flow.rows, self.flow.direct], [np.zeros((m, n)), np.eye(m)]])
 
     @cached_property
     def step(self) -> tuple[FloatArray, FloatArray]:
         """A (n, n) and B (n, (1 + late) m) from the start of a period to that of the next."""
-        second, n = self.segments[1], self.flow.B.shape[0]
-        over = second.P[-1] @ self._starts[1] + second.Q[-1] @ self._felt(1)
+        n = self.flow.B.shape[0]
+        over = self.segments[1].maps[-1, :n] @ self._starts[1]
         return over[:, :n], over[:, n:] @ self._acting
 
     def _system(self, rows: FloatArray) -> LinearSystem:
@@ -212,38 +209,23 @@ class Period:
         return LinearSystem(*self.step, rows[:, :n], rows[:, n:] @ self._acting)
 
     @cached_property
-    def accelerating(self) -> LinearSystem:
-        """From the commands that act to y'' (p) at the start of the arriving segment."""
-        return self._system(self._at_start(self.arriving, slice(self.flow.tracked)))
-
-    @cached_property
     def starting(self) -> LinearSystem:
-        """From them to y'' (p) there, and to the plant's inputs (2 m) at the starts of both segments."""
+        """From commands that act to y'' (p) at the start of the arriving segment, and inputs (2 m) of both."""
         p, m = self.flow.tracked, self.flow.B.shape[1]
-        inputs = [self._at_start(segment, slice(p, p + m)) for segment in range(2)]
-        return self._system(np.concatenate([self._at_start(self.arriving, slice(p)), *inputs]))
+        inputs = [self._rows[p : p + m] @ start for start in self._starts]
+        return self._system(np.concatenate([self._rows[:p] @ self._starts[self.arriving], *inputs]))
 
     @cached_property
     def terms(self) -> LinearSystem:
-        """From them to the terms of y'' there, for each direction one of every state and of every motor."""
-        flow, states, felt = self.flow, self._starts[self.arriving], self._felt(self.arriving)
-        rows = [
-            part
-            for row, direct in zip(flow.rows, flow.direct[: flow.tracked], strict=False)
-            for part in (row[:, None] * states, direct[:, None] * felt)
-        ]
-        return self._system(np.concatenate(rows))
+        """From commands that act to the terms of y'' there, for each direction one of every state and motor."""
+        starts = self._starts[self.arriving]
+        return self._system(np.concatenate([row[:, None] * starts for row in self._rows[: self.flow.tracked]]))
 
     @cached_property
     def to_samples(self) -> FloatArray:
         """(R + m, n + 2 m, K) rows of the flow and of the commands that act, at the K samples of a period."""
-        flow, m = self.flow, self.flow.B.shape[1]
-        rows = np.vstack([flow.rows, np.zeros((m, flow.rows.shape[1]))])
-        direct, found = np.vstack([flow.direct, np.eye(m)]), []
-        for j, segment in enumerate(self.segments):
-            moved = segment.P @ self._starts[j] + segment.Q @ self._felt(j)
-            found.append((rows @ moved + direct @ self._felt(j)).transpose(1, 2, 0))
-        return np.concatenate(found, axis=2)
+        parts = [self._rows @ of.maps @ start for of, start in zip(self.segments, self._starts, strict=True)]
+        return np.concatenate(parts).transpose(1, 2, 0)
 
     @cached_property
     def bounds(self) -> tuple[int, int, int]:
@@ -336,12 +318,14 @@ class Course:
     @cached_property
     def accelerations(self) -> FloatArray:
         """(M, instants), or (M, p, instants): y'' just after the switching instants of window and tail."""
-        return lone(self.starting[:, : self.period.flow.tracked, self.period.at_switching])
+        # A copy, which does not keep the other outputs in memory.
+        return lone(self.starting[:, : self.period.flow.tracked, self.period.at_switching].copy())
 
-    def inputs(self, arriving: int) -> FloatArray:
-        """(M, m, periods) plant's inputs at the start of each period's first, 0, or second segment."""
-        motors = self.period.flow.B.shape[1]
-        return self.starting[:, -2 * motors :][:, arriving * motors :][:, :motors]
+    @property
+    def inputs(self) -> FloatArray:
+        """(M, 2, m, periods) plant's inputs at the starts of the two segments of each period."""
+        M, (p, m) = len(self.starting), (self.period.flow.tracked, self.period.flow.B.shape[1])
+        return self.starting[:, p:].reshape(M, 2, m, -1)
 
     @cached_property
     def rounding(self) -> FloatArray:
@@ -367,8 +351,7 @@ class Course:
         period, (M, _, periods), K = self.period, self.acting.shape, self.period.to_samples.shape[2]
         inputs = np.concatenate([self.acting, *map(period.at_knots, offsets.values())], axis=1)
         early, late = (period.sampled(of, [*offsets]) for of in (rows, np.vstack([rows, after])))
-        cuts = {0, periods, *(min(-(-bound // K), periods) for bound in period.bounds)}
-        cuts |= {min(bound // K, periods) for bound in period.bounds}
+        cuts = {0, periods, *(min(cut, periods) for at in period.bounds for cut in (at // K, -(-at // K)))}
         found, states = np.zeros((M, len(rows) + len(after), 4)), np.zeros((M, period.flow.A.shape[0]))
         for first, last in itertools.pairwise(sorted(cuts)):
             # Either one period or several between two bounds, whose samples all belong to the same part.
@@ -426,14 +409,10 @@ def accurate(stage: StageModel, grid: TimeGrid, commands: FloatArray, loop: Loop
         return stage.kept(key, (), grid, lambda: Period(flow, grid, _segments(flow, grid, halvings)))
 
     course = _play(stage, commands, period(0), loop)
-    coarse = lone(course.period.accelerating.outputs(course.acting)[..., course.period.at_switching])
     for halvings in range(1, MOST_HALVINGS + 1):
+        coarse, finer = course.accelerations, period(halvings)
         # Without a wall the same commands act, whatever the step.
-        course = (
-            replace(course, period=period(halvings))
-            if loop is None
-            else _play(stage, commands, period(halvings), loop)
-        )
+        course = replace(course, period=finer) if loop is None else _play(stage, commands, finer, loop)
         found = course.accelerations
         difference, peak = largest(found - coarse), largest(found)
         course.step_error[:] = difference / peak_scale(peak, 0.0)
@@ -441,5 +420,4 @@ def accurate(stage: StageModel, grid: TimeGrid, commands: FloatArray, loop: Loop
             course.step_error[:] = difference / peak_scale(peak, course.rounding)
         if np.all(course.step_error <= STEP_ERROR):
             break
-        coarse = found
     return course

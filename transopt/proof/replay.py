@@ -233,12 +233,11 @@ def _temperatures(
     lengths = np.diff(starts[: playing + 1])
     # One step per segment is exact, as the command is constant within it.
     whole = slice((playing + 1) // 2)
-    before = np.stack([course.inputs(half)[:, 0, whole] for half in range(2)], axis=2).reshape(M, -1)[:, :playing]
+    before = course.inputs[:, :, 0, whole].swapaxes(1, 2).reshape(M, -1)[:, :playing]
     if amplifier is None:
         heat = effective_square(before, coil.ripple_A)
     else:
-        felt = np.stack([course.acting[:, command, whole] for command in (0, period.late)], axis=2)
-        felt = felt.reshape(M, -1)[:, :playing]
+        felt = course.acting[:, [0, period.late], whole].swapaxes(1, 2).reshape(M, -1)[:, :playing]
         heat = following_square_mean(before, felt, amplifier.rate_rad_s * lengths, coil.ripple_A)
     rate_Hz = None if budgets is None else budgets[0].tap_rate_Hz
     if budgets is None or rate_Hz is None:
@@ -292,7 +291,8 @@ def replay(
     course, step_error, limits = simulated, simulated.step_error, limits or [Limits()] * len(commands)
     runs = [course]
     acceleration, later = np.split(course.accelerations, [grid.stages], axis=-1)
-    plant_input = lone(course.inputs(course.period.arriving))[..., course.period.at_switching][..., : grid.stages]
+    at_switching = course.inputs[:, course.period.arriving, :, course.period.at_switching]
+    plant_input = lone(at_switching[..., : grid.stages].copy())
     winding = housing = np.full(len(commands), np.nan)
     if coil is not None:
         winding, housing = _temperatures(course, stage.amplifier, coil, budgets, grid)
@@ -300,9 +300,8 @@ def replay(
         runs += [accurate(device, grid, commands, None) for device in spread]
         step_error = np.max([run.step_error for run in runs], axis=0)
     whole, early, of_input, of_motion = _peaks(runs, limits, (stage, *spread), grid)
-    numbers = np.stack(
-        [of_input, largest(course.command), of_motion, winding, housing, course.rounding, step_error], axis=1
-    )
+    peaks = of_input, largest(course.command), of_motion
+    numbers = np.stack([*peaks, winding, housing, course.rounding, step_error], axis=1).tolist()
     return [
         Replay(
             acceleration_m_s2=acceleration[m],
@@ -317,12 +316,10 @@ def replay(
             winding_C=winding_C,
             housing_C=housing_C,
             command=course.command[m],
-            rounding_m_s2=rounding,
+            rounding_m_s2=off,
             step_error=by_step,
         )
-        for m, (peak_input, peak_command, after_peak, winding_C, housing_C, rounding, by_step) in enumerate(
-            numbers.tolist()
-        )
+        for m, (peak_input, peak_command, after_peak, winding_C, housing_C, off, by_step) in enumerate(numbers)
     ]
 
 
