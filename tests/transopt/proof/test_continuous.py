@@ -46,7 +46,7 @@ def test_the_largest_values_are_those_of_all_samples(
     assert times[-1] >= grid.end_s + 20e-3 - 1e-12
     knots = np.append(grid.switching_times_s, grid.end_s)
     moved = samples(u) + np.stack([np.interp(times, knots, of) for of in offset])
-    # Of the two samples at an instant, just before and just after it, the parts end after tau_(N-1) and tau_N.
+    # An instant has two samples, just before and just after it: parts end after both at tau_(N-1) and at tau_N.
     begins, over, ends = period.bounds
     assert times[begins] == pytest.approx(grid.switching_times_s[0], abs=1e-12)
     assert times[over - 1] == pytest.approx(grid.switching_times_s[-1], abs=1e-12)
