@@ -43,8 +43,8 @@ def load_playable(path: str | Path) -> Library:
     library = load_proven(path)
     if library.axes.targets or library.axes.places or library.driven_by.unit != "A":
         raise InputError(
-            f"{path}: has {library.axes.said} and commands in {library.driven_by.unit}; a stylus on a motor plays "
-            "currents over speeds and grips: `transopt export` writes the waveforms of this one"
+            f"{path}: has {library.axes.in_words} and commands in {library.driven_by.unit}; a stylus on a motor "
+            "plays currents over speeds and grips: `transopt export` writes the waveforms of this one"
         )
     return library
 

@@ -53,7 +53,7 @@ class Axes:
         return len(self.speeds_m_s) * len(self.grips_N)
 
     @property
-    def said(self) -> str:
+    def in_words(self) -> str:
         """The axes in one line."""
         if self.targets:
             shown = ", ".join(self.targets[:3]) + (", ..." if len(self.targets) > 3 else "")

@@ -74,7 +74,7 @@ class Build:
         found = f", tap error {percent(min(errors))} to {percent(max(errors))} %" if errors else ""
         certified = "certified stationary" if self.scene.nonlinear else "certified"
         return wrapped(
-            f"Build({cut(self.scene.name)}: {self.scene.axes.said}, "
+            f"Build({cut(self.scene.name)}: {self.scene.axes.in_words}, "
             f"{len(errors)} of {len(entries)} entries {certified} and replayed"
             f"{found}; {self.elapsed_s:.2f} s)"
         )

@@ -299,7 +299,7 @@ class Entry(Answered):
         names = ("tap", "floor", "felt", "felt_dB", "speed", "bump", "heat", "peak", "gap", "binding", "verdict")
         shown = EntryTable((), names, (self,), self.unit)
         rows = [["entry", self.place], *map(list, zip(shown.heads, shown.figures(self), strict=True))]
-        rows += [["why it is refused", said] for said in self.shortfalls]
+        rows += [["why it is refused", reason] for reason in self.shortfalls]
         return html_table(repr(self), ["", ""], rows) + html_figure(self.plot())
 
     def plot(self) -> "Figure":

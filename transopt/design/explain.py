@@ -80,7 +80,7 @@ def what_would_do(remedies: Sequence[Remedy]) -> str:
 
 def unavoidable(problem: TransientProblem) -> list[str]:
     """Sentences on limits that every command violates, as far as this is known without a solve."""
-    return [said for limit in reversed(problem.limits.members) if (said := limit.unavoidable(problem))]
+    return [reason for limit in reversed(problem.limits.members) if (reason := limit.unavoidable(problem))]
 
 
 def _feasible(problem: TransientProblem, options: SolverOptions) -> FloatArray | None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.design.explain import infeasibility, unavoidable
-from transopt.design.within import finer, said_of_instants
+from transopt.design.within import finer, why_no_more_instants
 from transopt.plant.wall import reference_course
 from transopt.problem.answer import Certificate, Solution, Status
 from transopt.problem.leave_out import leave_out, leave_out_all
@@ -126,14 +126,14 @@ def _flat(designed: Designed, options: SolverOptions) -> Designed:
     if problem.rho < STEADIER:
         found = alone(_solved(replace(problem, rho=STEADIER), options))
         if found.is_proven and found.certificate.accepted:
-            said = f"{gap} is what double precision leaves where J hardly depends on some movements of the command"
-            return replace(designed, solution=answer, remarks=[said])
+            remark = f"{gap} is what double precision leaves where J hardly depends on some movements of the command"
+            return replace(designed, solution=answer, remarks=[remark])
     free = unlimited.solve([problem])[0]
     left = certify(problem, free.command, free.multipliers).relative_gap
     if left <= Certificate.GAP_TOLERANCE:
         return designed
-    said = f"{gap} has no digits to rest on: even without any limit double precision leaves one of {left:.1e}"
-    return replace(designed, solution=answer, remarks=[said])
+    remark = f"{gap} has no digits to rest on: even without any limit double precision leaves one of {left:.1e}"
+    return replace(designed, solution=answer, remarks=[remark])
 
 
 def _rounding(problem: TransientProblem, answer: Solution) -> str:
@@ -233,8 +233,8 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Search[Designe
         designed = again
     if spent != designed.solution.solve_time_s:
         designed = replace(designed, solution=replace(designed.solution, solve_time_s=spent))
-    if designed.solved is not None and designed.is_proven and (said := said_of_instants(designed)):
-        designed = replace(designed, left_out=designed.left_out | said)
+    if designed.solved is not None and designed.is_proven and (reasons := why_no_more_instants(designed)):
+        designed = replace(designed, left_out=designed.left_out | reasons)
     return designed
 
 
@@ -355,7 +355,7 @@ def _under_limits(attempts: Sequence[_Attempt], options: SolverOptions) -> list[
             if each.small.thermal is not None and its.solution.status is Status.OPTIMAL
         ]
     )
-    cool = {i: said for i, each in enumerate(attempts) if (said := _cool(each, first[i]))}
+    cool = {i: reason for i, each in enumerate(attempts) if (reason := _cool(each, first[i]))}
     # A problem that is infeasible without the temperature limit is infeasible with it.
     hot = [
         i

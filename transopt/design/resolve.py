@@ -54,9 +54,9 @@ def resolve(
     entries = [_again(each, corrections_m_s2, options) for each in both]
     kept = {}
     for place in corrections_m_s2:
-        said = [of_place.shortfalls[0] for of_all in entries if not (of_place := of_all[place]).admitted]
-        if said:
-            kept[place] = said[0]
+        reasons = [of_place.shortfalls[0] for of_all in entries if not (of_place := of_all[place]).admitted]
+        if reasons:
+            kept[place] = reasons[0]
     taken = {place: course for place, course in corrections_m_s2.items() if place not in kept}
     stated = [parts for of_all in entries for place in taken for parts in of_all[place].problem.parts.values()]
     if (parts := max(stated, default=1)) > most_parts(library.meta):

@@ -81,8 +81,8 @@ def with_remedies(context: Context, entries: Sequence[Sequence[Entry]], options:
         if entry.admitted:
             return entry
         if not library.left:
-            said = "not tried what would do: the trials for other entries took all the work that a library may"
-            return entry.stating(shortfalls=[*entry.shortfalls, said])
+            reason = "not tried what would do: the trials for other entries took all the work that a library may"
+            return entry.stating(shortfalls=[*entry.shortfalls, reason])
         reference = context.reference(entry.speed_m_s, entry.grip_N, entry.target)
         posed = SceneEntry(context, entry.grip_N, reference, entry.spot)
         own = [remedy for remedy in found.values() if does_too(posed, entry, remedy)]

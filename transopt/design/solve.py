@@ -46,8 +46,8 @@ def build(
     InputError : a scene, a recording or an option that cannot be used.
     """
     loaded = scene if isinstance(scene, Scene) else load_scene(scene)
-    if not accept_unfit_model and (said := loaded.unfit_model()):
-        raise InputError(f"{said}; identify it again, or pass accept_unfit_model=True")
+    if not accept_unfit_model and (reason := loaded.unfit_model()):
+        raise InputError(f"{reason}; identify it again, or pass accept_unfit_model=True")
     options = SolverOptions() if options is None else options
     check_name(options.solver)
     if grid_tolerance is not None:

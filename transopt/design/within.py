@@ -53,7 +53,7 @@ def margin_cost(limit: OutputLimit, problem: TransientProblem, multipliers: Mult
     )
 
 
-def said_of_instants(designed: Designed) -> dict[str, str]:
+def why_no_more_instants(designed: Designed) -> dict[str, str]:
     """Left-out part, a limit on an output at still more instants -> why it is left out."""
     problem, multipliers, J = designed.problem, designed.solution.multipliers, designed.certificate.objective
     found = {}

@@ -158,12 +158,12 @@ def meanings(
             raise UnclearError(problem, answers)
         raise InputError(problem)
     _refuse_unstated([name for name in used if lacks_unit(name, words, units)], words, seen)
-    said = {}
+    known = {}
     for name in used:
-        said[name] = meaning(name, words, units)
+        known[name] = meaning(name, words, units)
         if found and name not in found:
             raise InputError(f"no variable {name}; found: {present}; correct the name")
-    return said
+    return known
 
 
 def one_clock(
@@ -171,7 +171,7 @@ def one_clock(
     words: Vocabulary,
     units: Mapping[str, str],
     column: Callable[[int], FloatArray],
-    said: list[str],
+    notes: list[str],
 ) -> list[str]:
     """The names with all columns of times skipped but the one of finest resolution, if they span the same time.
 
@@ -180,7 +180,7 @@ def one_clock(
     Parameters
     ----------
     column : returns the numbers (n,) of a column by its index.
-    said : receives a sentence that names the column kept.
+    notes : receives a sentence that names the column kept.
     """
     rivals = [at for at, name in enumerate(names) if words.quantity_of(name) == "time"]
     factors = dict[int, float]()
@@ -192,7 +192,7 @@ def one_clock(
     if not spans or not spans[0] > 0 or not np.allclose(spans, spans[0], rtol=SAME_SPAN):
         return list(names)
     kept = max(times, key=lambda at: np.unique(times[at]).size)
-    said.append(f"of {len(rivals)} columns of times {quote(names[kept])} is used")
+    notes.append(f"of {len(rivals)} columns of times {quote(names[kept])} is used")
     return [SKIPPED if at in rivals and at != kept else name for at, name in enumerate(names)]
 
 

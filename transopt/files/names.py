@@ -247,8 +247,8 @@ def _words(base: str) -> set[str]:
 def is_weighed(name: str) -> bool:
     """Whether the name of a column in g suggests grams, a weight, rather than an acceleration."""
     base, unit = apart(name)
-    said = _words(base)
-    return unit in ("g", "mg") and not WEIGHED.isdisjoint(said) and said.isdisjoint(STEMS)
+    found = _words(base)
+    return unit in ("g", "mg") and not WEIGHED.isdisjoint(found) and found.isdisjoint(STEMS)
 
 
 def stated_units(text: str) -> dict[str, str]:
@@ -294,21 +294,21 @@ def axis_of(name: str) -> str:
     return min(found) if len(found) == 1 else ""
 
 
-def spared(names: Sequence[str], words: Vocabulary, said: list[str]) -> list[str]:
+def spared(names: Sequence[str], words: Vocabulary, notes: list[str]) -> list[str]:
     """The names with columns of no meaning skipped, if the others suffice.
 
     A name that ends in a unit may be a misspelt quantity: it is kept, and later refused.
 
     Parameters
     ----------
-    said : receives a sentence that names the columns skipped.
+    notes : receives a sentence that names the columns skipped.
     """
     idle = [name for name in names if words.quantity_of(name) is None and not words.is_meant(name)]
     idle = [name for name in idle if name != SKIPPED]
     if not idle or words.absent(names):
         return list(names)
     plural = "s" if len(idle) > 1 else ""
-    said.append(f"column{plural} {quote(', '.join(idle))} not used: nothing here goes by such a name")
+    notes.append(f"column{plural} {quote(', '.join(idle))} not used: nothing here goes by such a name")
     return [SKIPPED if name in idle else name for name in names]
 
 

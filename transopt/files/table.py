@@ -105,24 +105,25 @@ def read_table(path: Path, words: Vocabulary, layout: Layout | None = None) -> T
         if not data:
             raise InputError("is empty (0 bytes); record or export it again")
         raw = read_raw(path.suffix, data, layout or Layout(), words)
-        said: list[str] = []
-        signals, clock = _signals(raw, words, said)
+        notes: list[str] = []
+        signals, clock = _signals(raw, words, notes)
         quantities = dict.fromkeys(scalar.quantity for scalar in words.header.values())
         stated = {quantity: _stated(raw.header, quantity, words) for quantity in quantities}
     axes = {name: signals.pop(name) for name in list(signals) if name in _AXES}
     scalars = {quantity: value for quantity, value in stated.items() if value is not None}
-    notes = (*said, *(each.note for each in raw.meanings.values() if each.note), *raw.notes)
-    return Table(signals, axes, scalars, hashlib.sha256(data).hexdigest(), clock.off_grid, clock.missing, notes)
+    notes += [*(each.note for each in raw.meanings.values() if each.note), *raw.notes]
+    source_sha256 = hashlib.sha256(data).hexdigest()
+    return Table(signals, axes, scalars, source_sha256, clock.off_grid, clock.missing, tuple(notes))
 
 
-def _signals(table: RawTable, words: Vocabulary, said: list[str]) -> tuple[dict[str, Signal], _Clock]:
+def _signals(table: RawTable, words: Vocabulary, notes: list[str]) -> tuple[dict[str, Signal], _Clock]:
     """Every quantity of the table except time, in SI, on one uniform grid; and that grid.
 
     Several axes of an acceleration are called x, y and z.
 
     Parameters
     ----------
-    said : receives sentences on what was left out or derived.
+    notes : receives sentences on what was left out or derived.
     """
     size = table.rows()
     if size < MIN_SAMPLES:
@@ -130,7 +131,7 @@ def _signals(table: RawTable, words: Vocabulary, said: list[str]) -> tuple[dict[
     empty = np.any([np.isnan(values) for values in table.columns.values()], axis=0)
     kept = size - int(np.argmin(empty[::-1])) if not empty.all() else size
     if size / 2 < kept < size:
-        said.append(f"the last {size - kept} rows hold what is no number (NaN), and are left out")
+        notes.append(f"the last {size - kept} rows hold what is no number (NaN), and are left out")
         table = replace(table, columns={name: values[:kept] for name, values in table.columns.items()})
     quantities = {name: table.meanings[name].quantity for name in table.columns}
     several = Counter(quantities.values())["acceleration"] > 1
@@ -139,7 +140,7 @@ def _signals(table: RawTable, words: Vocabulary, said: list[str]) -> tuple[dict[
     times = si.pop("time")
     velocity = si.pop("velocity", None)
     if velocity is not None and "acceleration" not in quantities.values():
-        said.append("the acceleration is the slope of the velocity")
+        notes.append("the acceleration is the slope of the velocity")
         in_order = bool(np.all(np.diff(times) > 0))  # if not, `_clock` refuses them
         slope = scipy.interpolate.CubicSpline(times, velocity)(times, 1) if in_order else velocity
         si["acceleration"] = np.asarray(slope)

@@ -55,12 +55,12 @@ def read_text(data: bytes, layout: Layout, words: Vocabulary) -> tuple[RawTable,
     rate = rate_of(head, told) if "time" in words.absent(names) else None
     if rate is not None:
         words = words.without_times()
-    said = list[str]()
+    notes = list[str]()
     if footer:
-        said.append(f"what stands below the numbers from {quote(footer[0])} on is left out")
+        notes.append(f"what stands below the numbers from {quote(footer[0])} on is left out")
     if not layout.columns:
-        names = one_clock(names, words, units, lambda k: _column(rows, k), said)
-        names = spared(names, words, said)
+        names = one_clock(names, words, units, lambda k: _column(rows, k), notes)
+        names = spared(names, words, notes)
     known = meanings(names, words, units, seen=lambda: _seen(rows, names))
     if clock is not None and names[at] == SKIPPED:
         clock = None
@@ -70,8 +70,8 @@ def read_text(data: bytes, layout: Layout, words: Vocabulary) -> tuple[RawTable,
     if clock is not None:
         columns = {"time_s": clock, **columns}
     for name, stride in _fill(columns, blanks, numbers).items():
-        said.append(f"{name} stands in one row of {stride} only, and is interpolated between them")
-    return RawTable(columns, known, header, lambda k: f"row {numbers[k]}", tuple(said)), rate
+        notes.append(f"{name} stands in one row of {stride} only, and is interpolated between them")
+    return RawTable(columns, known, header, lambda k: f"row {numbers[k]}", tuple(notes)), rate
 
 
 def _nameless(rows: Sequence[str], numbers: Sequence[int], words: Vocabulary) -> UnclearError:

@@ -98,8 +98,8 @@ def _options(answer: Answer) -> Iterator[str]:
             case "implausible":
                 yield option_of(key)
             case "units":
-                said = ",".join(f"{name}={unit}" for name, unit in value.items())
-                yield f"{option_of(key)} {shlex.quote(said)}"
+                stated = ",".join(f"{name}={unit}" for name, unit in value.items())
+                yield f"{option_of(key)} {shlex.quote(stated)}"
             case "columns":
                 yield f"{option_of(key)} {shlex.quote(','.join(value))}"
             case _:
@@ -181,8 +181,8 @@ def guesses(
                 if is_named:
                     found.append({"units": {**({time: unit} if time else {}), name: of}})
                 else:
-                    said = {time: f"time [{unit}]", name: f"acc [{of}]"}
-                    found.append({"columns": [said.get(each, "-") for each in table]})
+                    heads = {time: f"time [{unit}]", name: f"acc [{of}]"}
+                    found.append({"columns": [heads.get(each, "-") for each in table]})
     return found
 
 

@@ -78,8 +78,8 @@ class Library(Posed):
         stages, dt_s = self.command.shape[-1], self.dt_s
         errors = f"tap error {percent(self.tap_error.min())} to {percent(self.tap_error.max())} %"
         return wrapped(
-            f"Library({cut(self.meta['scene']['name'])}: {self.axes.said}, {stages} commands of {1e3 * dt_s:g} ms, "
-            f"limit {self.input_limit:g} {self.driven_by.unit}, {errors}"
+            f"Library({cut(self.meta['scene']['name'])}: {self.axes.in_words}, {stages} commands of {1e3 * dt_s:g} "
+            f"ms, limit {self.input_limit:g} {self.driven_by.unit}, {errors}"
             f"{'; nonlinear plant, stationary points' if self.nonlinear else ''})"
         )
 

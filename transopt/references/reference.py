@@ -136,7 +136,7 @@ class Reference:
         return Target.of_whole(recorded - free, free, lost, stages)
 
     @property
-    def said(self) -> str:
+    def in_words(self) -> str:
         """Name of the target or speed of the tap, for messages."""
         return self.name or f"the tap at {self.speed_m_s:g} m/s"
 

@@ -170,12 +170,12 @@ class References:
             beyond = [F for F in held if known and not _within(F, known)]
             blended = [F for F in held if known and _within(F, known) and not _among(F, known)]
             if beyond:
-                said = f"{_listed(beyond)} N: taps of {_listed(known)} N only, that of the nearest grip serves"
-                speeds.setdefault(said, []).append(speed)
+                words = f"{_listed(beyond)} N: taps of {_listed(known)} N only, that of the nearest grip serves"
+                speeds.setdefault(words, []).append(speed)
             if blended:
-                said = f"{_listed(blended)} N: blended from the taps of {_listed(known)} N"
-                speeds.setdefault(said, []).append(speed)
-        found = [*self.notes, *(f"{_listed(which)} m/s, {said}" for said, which in speeds.items())]
+                words = f"{_listed(blended)} N: blended from the taps of {_listed(known)} N"
+                speeds.setdefault(words, []).append(speed)
+        found = [*self.notes, *(f"{_listed(which)} m/s, {words}" for words, which in speeds.items())]
         if len(grips_N) > 1 and any(not cell.of_grips_N and not cell.name for cell in self.cells):
             found.append(f"the taps state no grip and serve every grip; state it (`# grip_N: 3`): {COST}")
         return found
@@ -332,8 +332,8 @@ def sampled_again(references: References, grid: TimeGrid, free: Free) -> Referen
     for cell in references:
         if not cell.taps:
             raise InputError(
-                f"{cell.said}: its recordings are not at hand, so it is not sampled on another time axis: open the "
-                "scene with them"
+                f"{cell.in_words}: its recordings are not at hand, so it is not sampled on another time axis: open "
+                "the scene with them"
             )
     axis = TimeAxis(grid, free)
     cells = (

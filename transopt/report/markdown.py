@@ -118,7 +118,7 @@ def _recorded_lines(build: Build) -> list[str]:
 def _origin(build: Build) -> str:
     """Origin of the recordings in words."""
     if build.scene.targets:
-        return f"What it shall make is stated by name: {build.scene.axes.said}."
+        return f"What it shall make is stated by name: {build.scene.axes.in_words}."
     simulated = build.scene.recordings.simulated
     if simulated is not None:
         whose = "" if build.scene.striker is None else " (the scene's own device, not that of the model file)"

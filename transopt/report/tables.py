@@ -149,7 +149,7 @@ def lost_start(build: Build) -> str:
         else f"no lead up to {LONGEST_LEAD_S * 1e3:g} ms covers that delay: take a faster amplifier"
     )
     return (
-        f"{100 * share:.2g} % of the energy of {worst.said} is over before the first command can "
+        f"{100 * share:.2g} % of the energy of {worst.in_words} is over before the first command can "
         f"act, and counts as error: the waveform starts {scene.lead_s * 1e3:g} ms before it, the amplifier "
         f"delays it by {scene.delay_s * 1e3:g} ms; {remedy}"
     )

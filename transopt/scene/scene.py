@@ -95,7 +95,7 @@ class Scene(Section):
         time = self.time
         named = ": ".join(filter(None, (cut(self.name), cut(self.description))))
         return wrapped(
-            f"Scene({named}; {self.axes.said}, {self.stages} commands of {1e3 * time.dt_s:g} ms, limit "
+            f"Scene({named}; {self.axes.in_words}, {self.stages} commands of {1e3 * time.dt_s:g} ms, limit "
             f"{self.limits.transient_input:g} {self.driven_by.unit})"
         )
 

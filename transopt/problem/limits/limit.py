@@ -175,7 +175,7 @@ class Limit(ABC):
         """Whether all its rows are linear, so that a quadratic program can contain it."""
         return True
 
-    def said(self, side: str, *, two_sided: bool) -> str:
+    def bound_in_words(self, side: str, *, two_sided: bool) -> str:
         """The bound of one side as reports state it where it binds."""
         sign = {"lower": "-", "upper": "+" if two_sided else ""}[side]
         return f"{sign}{self.stated:.8g}"

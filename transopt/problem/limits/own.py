@@ -127,7 +127,7 @@ class OwnLimit(Limit):
         by = (factor - 1) * self.stated
         return type(self)(self.lower - by, self.upper + by, self.row)
 
-    def said(self, side: str, *, two_sided: bool) -> str:
+    def bound_in_words(self, side: str, *, two_sided: bool) -> str:
         return f"{self.lower if side == 'lower' else self.upper:.8g}"
 
 

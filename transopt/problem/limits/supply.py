@@ -44,7 +44,7 @@ class CopperEnd:
     winding_C: float | None
 
     @property
-    def said(self) -> str:
+    def in_words(self) -> str:
         """The temperature in words; empty where it is unknown."""
         return "" if self.winding_C is None else f"with the copper at {self.winding_C:.6g} C"
 
@@ -143,7 +143,7 @@ class SupplyLimit(Limit):
             common, by_command = {INPUT: self._by_current(end), VELOCITY: self.emf_V_s_m}, self._by_command(end)
             for side, command in (("before", HELD), ("after", COMMAND)):
                 outputs = {**common, command: by_command}
-                found.append(Row(f"{end.rows}_{side}", outputs, -volts, volts, nominal, end.said))
+                found.append(Row(f"{end.rows}_{side}", outputs, -volts, volts, nominal, end.in_words))
         return tuple(row.of_device(device) for device in range(len(problem.devices)) for row in found)
 
     def bounds_V(self, problem: Posed) -> list[float]:
@@ -171,7 +171,7 @@ class SupplyLimit(Limit):
             if bound > self.limit_V or end.winding_C is None:
                 found.append(end)
                 continue
-            reasons[f"supply {end.said}"] = (
+            reasons[f"supply {end.in_words}"] = (
                 f"no current inside its limits reaches the rail then: at most {bound:.1f} V of {self.limit_V:g} V"
             )
         return (replace(self, ends=tuple(found)) if reasons else self), reasons

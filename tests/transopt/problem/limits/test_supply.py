@@ -135,7 +135,7 @@ class TestEnds:
         posing = replace(of.posing(), coil=None)
         supply = supply_of(posing.problem(wanted_of(references[-1]), Context(of).stage(5.0)))
         (end,) = supply.ends
-        assert (supply.copper_C, end.said) == (None, "")
+        assert (supply.copper_C, end.in_words) == (None, "")
         assert end.circuit.R_ohm == pytest.approx(scene.motor.R_ohm, rel=1e-15)
 
 
