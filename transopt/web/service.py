@@ -254,7 +254,18 @@ class Service:
         return self.context.reference(place.speed_m_s, place.grip_N, place.target)
 
     def _posed(self, place: Place) -> Posed:
-        return self.context.posed(place.speed_m_s, place.grip_N, place.target)
+        return self._posed_together([place])[0]
+
+    def _posed_together(self, places: Sequence[Place]) -> list[Posed]:
+        """The problems of taps, of which those of one grip share what they can."""
+        context, of_grip, found = self.context, dict[float, list[int]](), dict[int, Posed]()
+        for number, place in enumerate(places):
+            of_grip.setdefault(place.grip_N, []).append(number)
+        for grip_N, numbers in of_grip.items():
+            taps = [places[number] for number in numbers]
+            references = [context.reference(tap.speed_m_s, tap.grip_N, tap.target) for tap in taps]
+            found |= zip(numbers, context.posed_together(references, grip_N), strict=True)
+        return [found[number] for number in range(len(places))]
 
     def order(self, selected: int) -> list[int]:
         """All taps, the selected one first, then grip by grip."""
@@ -267,7 +278,7 @@ class Service:
         """Design some taps together under the present limits: optima and certificates, without replays and prices."""
         places = self.places
         with np.errstate(over="ignore", invalid="ignore"):  # extreme values overflow and end as refused taps
-            entries = design([self._posed(places[index]) for index in indices], options=self.trial)
+            entries = design(self._posed_together([places[index] for index in indices]), options=self.trial)
             found = shown(indices, entries)
             if self.winding_C is None:
                 return found
