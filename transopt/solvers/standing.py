@@ -1,8 +1,9 @@
 """A problem that stands while the device and the target change from tap to tap: nothing is allocated for one of them.
 
-`stage_data` states any problem. Most taps of one library differ only in a device of a fixed number of states and in a
-target; their stages are made here in one compiled call (`native/device.c`), from the same formulas, into the arrays
-of one problem. The tests hold both ways equal.
+`stage_data` states any problem. Most taps of one library differ only in a device of a fixed number of states and in
+a target. Their stages are made here in the arrays of one problem: LAPACK finds the modes of plant and amplifier, and
+one compiled call (`native/device.c`) all that follows from them. It is exact for a held command, as `discretise` is,
+and in the units of that problem, so that no motion is simulated for each device. The tests hold both ways equal.
 """
 
 import ctypes as ct
@@ -19,23 +20,23 @@ from transopt.plant.state_space import StateSpace
 from transopt.problem.answer import OBJECTIVE_SCALE
 from transopt.problem.limits.row import COMMAND, HELD, INPUT
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage import layout
+from transopt.problem.stage import layout, linear_stage
 from transopt.solvers.modes import MOST_CONDITION
 from transopt.solvers.native import extension
 from transopt.solvers.native.extension import ACCURACY, PROOF, RESULT, SOLVED
 from transopt.solvers.stage_data import RECORD, Stages, stages, without_limits
 
-FILTER = 6  # numbers of an error filter, as `TR_FILTER` of device.h
-MOST_STATES = 32  # `TR_MOST_DEVICE`
 TIGHTER = 0.01  # on the tolerance of a short search, as in riccati.c
+FILTER = 7  # numbers of an error filter, as `TR_FILTER` of device.h
+MOST_STATES = 32  # `TR_MOST_DEVICE`
 OWN = ("A", "C", "end_gain", "end_target", "reference")  # arrays of the stage data that a tap changes
 
 
 class _Device(ct.Structure):
     _fields_ = (
-        *((name, ct.c_int) for name in ("plant", "terms", "stages", "after", "stride")),
-        *((name, ct.c_void_p) for name in ("flow", "output", "filter", "root")),
-        *((name, ct.c_double) for name in ("input_scale", "by")),
+        *((name, ct.c_int) for name in ("plant", "terms", "after", "stride")),
+        *((name, ct.c_void_p) for name in ("values", "vectors", "output", "filter", "root")),
+        *((name, ct.c_double) for name in ("rate", "by")),
     )
 
 
@@ -105,7 +106,7 @@ class Standing:
         self.given, self._kept = whole, [searched, bare]  # what the records point to is kept alive
         self._made(problem)
         n, current = whole.sizes["states"], layout(problem).current
-        self._records = [self._record(each, n, current) for each in (bare, searched, whole)]
+        self._records = np.concatenate([self._record(each, n, current) for each in (bare, searched, whole)])
         N, rows, wide = problem.grid.stages, len(searched.limits.kinds), len(whole.limits.kinds)
         self._places = [whole.limits.kinds.index(kind) for kind in searched.limits.kinds]
         self._units = whole.limits.unit * [limit.stated for limit, _ in problem.rows()]
@@ -124,32 +125,41 @@ class Standing:
         )
         assert extension._LIBRARY is not None
         self._c = c = extension._LIBRARY
-        self._at = [record.ctypes.data for record in self._records]
+        self._at = [self._records.ctypes.data + self._records.itemsize * j for j in range(3)]
         self._into, self._proof_at = self._result.ctypes.data, self._proof.ctypes.data
         needed = [c.tr_workspace(1, each) for each in self._at]
-        needed += [c.tr_shortened_workspace(self._at[1]), c.tr_device_workspace(ct.addressof(self._device))]
+        self._device_at, self._stages_at = ct.addressof(self._device), ct.addressof(self._stages)
+        needed += [c.tr_shortened_workspace(self._at[1]), c.tr_device_workspace(self._device_at)]
         space = np.zeros(max(needed))
         self._kept.append(space)
         self._space = address(space)
-        self._device_at, self._stages_at = ct.addressof(self._device), ct.addressof(self._stages)
 
     def _made(self, problem: TransientProblem) -> None:
-        """Allocate what a tap changes, and what the compiled calls make it from."""
-        where, amplifier, grid = layout(problem), problem.stage.amplifier, problem.grid
+        """Allocate what a tap changes, and what its stages are made from."""
+        where, amplifier, grid, stage = layout(problem), problem.stage.amplifier, problem.grid, linear_stage(problem)
         assert amplifier is not None
         n, terms, p = where.states, len(problem.terms), where.plants[0]
         self.plant, rate = p, amplifier.rate_rad_s * grid.dt_s
-        self._flow, self._output = np.zeros((p + 2, p + 2)), np.zeros(p + 1)
-        self._flow[p, p:] = -rate, rate
-        filters = np.array([_filter(term.error_filter) for term in problem.terms])
+        # The generator of plant and current over a period, its modes and its output, by the units of the states.
+        self._sizes = stage.units[: p + 1].copy()
+        self._per_period = grid.dt_s * self._sizes / self._sizes[:p, None]
+        self._flow, self._values = np.zeros((p + 1, p + 1)), np.zeros(p + 1, dtype=complex)
+        self._vectors, self._output = np.zeros((p + 1, p + 1), dtype=complex), np.zeros(p + 1)
+        self._flow[p, p] = -rate
+        filters = np.zeros((terms, FILTER))
+        for t, term in enumerate(problem.terms):
+            if term.error_filter is not None:
+                A, _, C, D = term.error_filter.state_space()
+                unit = stage.units[where.filter(0, t).start]
+                filters[t] = 1.0, *-A[0], D[0, 0], *(C[0] * unit), 1 / unit
         roots = np.sqrt([term.after for term in problem.terms])
         self._kept += [filters, roots]
         made = (np.zeros(shape) for shape in ((n, n), (terms, n), (n - 1, n), (n - 1,), (grid.stages, terms)))
         self._arrays = dict(zip(OWN, made, strict=True))
         self._device = _Device(
-            *(p, terms, grid.stages, grid.after_stages, problem.target.lost + grid.stages + grid.after_stages),
-            *map(address, (self._flow, self._output, filters, roots)),
-            *(self._scale, np.sqrt(2 / OBJECTIVE_SCALE)),
+            *(p, terms, grid.after_stages, problem.target.lost + grid.stages + grid.after_stages),
+            *map(address, (self._values, self._vectors, self._output, filters, roots)),
+            *(rate, math.sqrt(2 / OBJECTIVE_SCALE)),
         )
         self._stages = _Stages(*(address(self._arrays[name]) for name in OWN[:-1]))
 
@@ -167,12 +177,19 @@ class Standing:
             self._kept.append(G)
         return record
 
-    def drive(self, plant: StateSpace) -> None:
-        """Take a plant of p states, whose stages `poses` makes."""
-        p, dt_s = self.plant, self.problem.grid.dt_s
-        np.multiply(plant.A, dt_s, out=self._flow[:p, :p])
-        np.multiply(plant.B[:, 0], dt_s, out=self._flow[:p, p])
-        self._output[:p], self._output[p] = plant.C[0], plant.D[0, 0]
+    def drive(self, plant: StateSpace) -> bool:
+        """Take a plant of p states, whose stages `poses` makes; False if its modes are not found."""
+        p = self.plant
+        with np.errstate(over="ignore"):  # what is infinite has no modes
+            np.multiply(plant.A, self._per_period[:, :p], out=self._flow[:p, :p])
+            np.multiply(plant.B[:, 0], self._per_period[:, p], out=self._flow[:p, p])
+        np.multiply(plant.C[0], self._sizes[:p], out=self._output[:p])
+        self._output[p] = plant.D[0, 0] * self._sizes[p]
+        try:
+            self._values[...], self._vectors[...] = np.linalg.eig(self._flow)
+        except np.linalg.LinAlgError:
+            return False
+        return True
 
     def poses(self, wanted: FloatArray, energy_m2_s4: float, lost: float) -> bool:
         """Make the stages of the plant taken last and of a target; False if they have no modes.
@@ -186,10 +203,11 @@ class Standing:
         end = first + self.problem.grid.stages
         after = address(wanted) + wanted.itemsize * end
         condition = self._c.tr_device_stages(self._device_at, after, unit, self._space, self._stages_at)
+        if not condition <= MOST_CONDITION:
+            return False
         np.divide(wanted[:, first:end].T, unit, out=self._arrays["reference"])
-        for record in self._records:
-            record["constant"] = (lost + self._stages.rest) / OBJECTIVE_SCALE
-        return bool(condition <= MOST_CONDITION)
+        self._records["constant"] = (lost + self._stages.rest) / OBJECTIVE_SCALE
+        return True
 
     def unlimited(self) -> FloatArray | None:
         """(N,) the optimum without limits [A]; None if there is none."""
@@ -236,11 +254,3 @@ class Standing:
             (by_command + slack) * OBJECTIVE_SCALE,
             (by_movement + slack) * OBJECTIVE_SCALE,
         )
-
-
-def _filter(error_filter: Any) -> list[float]:
-    """An error filter as device.c takes it: whether there is one, a1, a2, its outputs by input and by both states."""
-    if error_filter is None:
-        return [0.0] * FILTER
-    A, _, C, D = error_filter.state_space()
-    return [1.0, *(-A[0]).tolist(), float(D[0, 0]), *C[0].tolist()]

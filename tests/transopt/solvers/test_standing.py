@@ -36,6 +36,14 @@ VARIANTS = {
 }
 
 
+PLANTS = {
+    "real modes": np.diag([-3e1, -2e2, -1e3, -4e3]),
+    "a free mass": np.diag([0.0, -2e2, -1e3, -4e3]),
+    "no damping": np.kron(np.diag([3e2, 2e3]), [[0.0, 1.0], [-1.0, 0.0]]),
+    "one that grows": np.array([[5.0, 3e2, 0, 0], [-3e2, 5.0, 0, 0], [0, 0, -1e2, 9.0], [0, 0, 1.0, -1e3]]),
+}
+
+
 def posed(scene: Scene, taps: list[Recording], speed_m_s: float, grip_N: float) -> TransientProblem:
     return Context.recorded(scene, taps).posed(speed_m_s, grip_N).problem.without("temperature")
 
@@ -46,9 +54,10 @@ def standing(problem: TransientProblem) -> Standing:
 
 def take(standing: Standing, problem: TransientProblem) -> bool:
     cost = problem.tracking
-    standing.drive(problem.stage.plant)
     wanted = np.ascontiguousarray(cost.wanted)
-    return standing.poses(wanted, cost.energy_m2_s4, cost.lost_m2_s4 / cost.energy_m2_s4)
+    return standing.drive(problem.stage.plant) and standing.poses(
+        wanted, cost.energy_m2_s4, cost.lost_m2_s4 / cost.energy_m2_s4
+    )
 
 
 def costed(arrays: dict[str, FloatArray], constant: float, moves: FloatArray) -> tuple[FloatArray, float]:
@@ -62,6 +71,17 @@ def costed(arrays: dict[str, FloatArray], constant: float, moves: FloatArray) ->
     return np.array(outputs), constant + float(np.sum(arrays["weight"] * errors**2) + after @ after) / 2
 
 
+def compare(made: Standing, problem: TransientProblem, seed: int) -> None:
+    """Take a tap, and compare its outputs and cost with those of its stage data, under movements of the command."""
+    assert take(made, problem)
+    given, moves = stages(problem), np.random.default_rng(seed).normal(size=problem.grid.stages)
+    outputs, cost = costed(given.arrays, given.numbers["constant"], moves)
+    arrays = made._arrays | {"weight": given.arrays["weight"]}
+    own, own_cost = costed(arrays, float(made._records["constant"][0]), moves)
+    np.testing.assert_allclose(own, outputs, atol=1e-9 * np.abs(outputs).max())
+    assert own_cost == pytest.approx(cost, rel=1e-9)
+
+
 @pytest.mark.parametrize("changes", VARIANTS.values(), ids=VARIANTS)
 def test_its_stages_are_those_of_the_stage_data(
     scene: Scene, taps: list[Recording], changes: dict[str, float | str]
@@ -69,17 +89,22 @@ def test_its_stages_are_those_of_the_stage_data(
     changed = with_values(scene, changes) if changes else scene
     problem = posed(changed, taps, 0.4, 5.0)
     assert stands(problem)
-    made, draws = standing(problem), np.random.default_rng(3)
-    for speed_m_s, grip_N in ((0.1, 1.0), (0.3, 3.0), (0.4, 5.0)):
-        problem = posed(changed, taps, speed_m_s, grip_N)
-        assert take(made, problem)
-        given = stages(problem)
-        moves = draws.normal(size=problem.grid.stages)
-        outputs, cost = costed(given.arrays, given.numbers["constant"], moves)
-        arrays = made._arrays | {"weight": given.arrays["weight"]}
-        own, own_cost = costed(arrays, float(made._records[0]["constant"][0]), moves)
-        np.testing.assert_allclose(own, outputs, atol=1e-9 * np.abs(outputs).max())
-        assert own_cost == pytest.approx(cost, rel=1e-9)
+    made = standing(problem)
+    for seed, place in enumerate([(0.1, 1.0), (0.3, 3.0), (0.4, 5.0)]):
+        compare(made, posed(changed, taps, *place), seed)
+
+
+@pytest.mark.parametrize("A", PLANTS.values(), ids=PLANTS)
+def test_any_plant_has_the_stages_of_the_stage_data(scene: Scene, taps: list[Recording], A: FloatArray) -> None:
+    problem, posing = posed(scene, taps, 0.4, 5.0), Context.recorded(scene, taps).posing
+    B, C, D = np.array([[1.0, 2.0, 3.0, -4.0]]).T, np.array([[3.0, -2.0, 4.0, 1.0]]), np.ones((1, 1))
+
+    def of(share: float) -> TransientProblem:
+        return replace(problem, stage=posing.stage(StateSpace(share * A, share * B, C, D)))
+
+    made = standing(of(1.0))
+    for seed in range(3):
+        compare(made, of(1.0 + 0.2 * seed), seed)
 
 
 @pytest.mark.parametrize("place", [(0.1, 1.0), (0.4, 5.0)], ids=["free", "limited"])
@@ -123,7 +148,7 @@ class TestRefused:
         made, plant = standing(problem), problem.stage.plant
         n = plant.order
         chained = StateSpace(50 * np.eye(n, k=1) - 100 * np.eye(n), plant.B, plant.C, plant.D)
-        made.drive(chained)
+        assert made.drive(chained)
         wanted = np.ascontiguousarray(problem.tracking.wanted)
         assert not made.poses(wanted, problem.tracking.energy_m2_s4, 0.0)
         assert take(made, problem)
@@ -134,12 +159,16 @@ class TestRefused:
         assert not take(standing(problem), problem)
         np.testing.assert_array_equal(modes_of(problem, linear_stage(problem)).T, np.eye(layout(problem).states))
 
-    @pytest.mark.parametrize("rate", [1e8, 1e300])
-    def test_a_plant_that_grows_out_of_all_numbers(self, scene: Scene, taps: list[Recording], rate: float) -> None:
-        problem = posed(scene, taps, 0.4, 5.0)
+    @pytest.mark.parametrize(("rate", "force"), [(1e8, 1.0), (1e300, 1.0), (1.0, 1e308)])
+    def test_a_plant_that_grows_out_of_all_numbers(
+        self, scene: Scene, taps: list[Recording], rate: float, force: float
+    ) -> None:
+        problem = posed(with_values(scene, {"weights.rapid": "none"}), taps, 0.4, 5.0)
         made, plant = standing(problem), problem.stage.plant
-        made.drive(StateSpace(rate * np.eye(plant.order), plant.B, plant.C, plant.D))
-        assert not made.poses(np.ascontiguousarray(problem.tracking.wanted), 1.0, 0.0)
+        A, B = np.diag(np.arange(1.0, plant.order + 1) / plant.order), np.ones_like(plant.B)
+        grown = StateSpace(rate * A, force * B, plant.C, plant.D)
+        wanted = np.ascontiguousarray(problem.tracking.wanted)
+        assert not (made.drive(grown) and made.poses(wanted, 1.0, 0.0))
 
     def test_a_target_that_is_no_number(self, scene: Scene, taps: list[Recording]) -> None:
         problem = posed(scene, taps, 0.4, 5.0)

@@ -1,29 +1,39 @@
-/* Stages of a device under one grip, for a tap that is solved alone: its exact hold, scaled states, modal coordinates, and
- * the cost of the time after the window. The same numbers as those of `discretise`, `linear_stage`, `modes_of` and `tails`
- * in Python, for one plant with an amplifier and without a wall. All matrices are row by row.
+/* Stages of a device under one grip, for a tap that is solved alone: its modes, exact for a held command, and the cost of
+ * the time after the window. The same numbers as those of `discretise`, `linear_stage`, `modes_of` and `tails` in Python,
+ * for one plant with an amplifier and without a wall. All matrices are row by row.
  */
-#include <float.h>
 #include <math.h>
 #include <string.h>
 
 #include "device.h"
 
-enum { MOST = TR_MOST_DEVICE, MOST_SWEEPS = 100, MOST_STEPS = 60, HALF_PERIOD = 20, MOST_PERIODS = 20, LANES = 4 };
+enum { MOST = TR_MOST_DEVICE, LANES = 4 };
 
-/* Of the diagonal Pade approximant of degree 13 (Higham 2005), as in `transopt.base.matrices`. */
-static const double PADE[] = {64764752532480000.0, 32382376266240000.0, 7771770303897600.0, 1187353796428800.0,
-                              129060195264000.0,   10559470521600.0,    670442572800.0,     33522128640.0,
-                              1323241920.0,        40840800.0,          960960.0,           16380.0,
-                              182.0,               1.0};
-static const double LARGEST_NORM = 5.371920351148152, BALANCED = 0.95, VANISHED = 1e-150;
-static const double LEFT_OUT = 1e-10; /* largest entry of A that is zero in exact modal coordinates */
+static const double VANISHED = 1e-150; /* from where on a mode after the window is zero: denormals are slow */
 
-static void multiplied(int n, const double *a, const double *b, double *found)
+typedef struct {
+    double re, im;
+} number;
+
+/* Modes of the plant and the current: one of each complex pair, then the real ones, the current's last. The states of the
+ * error filters come after the pairs, as pairs. */
+typedef struct {
+    int pairs, filters, count, order[MOST]; /* of pairs, of filters' states, of modes; indices of the eigenvalues */
+    number grown[MOST], held[MOST];         /* over a stage: e^l, and (e^l - 1) / l for a held command */
+    double ratio[MOST];                     /* of the lengths of an eigenvector's real and imaginary part */
+} tr_modes;
+
+static int place(const tr_modes *of, int k) { return k < of->pairs ? 2 * k : k + of->pairs + of->filters; }
+
+static number times(number a, number b)
 {
-    memset(found, 0, (size_t)(n * n) * sizeof(double));
-    for (int i = 0; i < n; i++)
-        for (int l = 0; l < n; l++)
-            for (int j = 0; j < n; j++) found[i * n + j] += a[i * n + l] * b[l * n + j];
+    return (number){a.re * b.re - a.im * b.im, a.re * b.im + a.im * b.re};
+}
+
+static number over(number a, number b)
+{
+    const double square = b.re * b.re + b.im * b.im;
+    return (number){(a.re * b.re + a.im * b.im) / square, (a.im * b.re - a.re * b.im) / square};
 }
 
 /* Solve a x = b in place of b (n, columns), with partial pivoting; a is overwritten. Returns 0 if a is singular. */
@@ -56,126 +66,6 @@ static int solved(int n, int columns, double *a, double *b)
     return 1;
 }
 
-/* Powers of two that make row and column norms of a nearly equal; a becomes S^-1 a S. */
-static void balance(int n, double *a, double *scale)
-{
-    for (int i = 0; i < n; i++) scale[i] = 1.0;
-    for (int sweep = 0, settled = 0; sweep < MOST_SWEEPS && !settled; sweep++) {
-        settled = 1;
-        for (int i = 0; i < n; i++) {
-            double column = 0.0, row = 0.0;
-            for (int j = 0; j < n; j++) column = hypot(column, a[j * n + i]), row = hypot(row, a[i * n + j]);
-            if (!(column > 0.0 && column < INFINITY && row > 0.0 && row < INFINITY)) continue;
-            const double by = exp2(nearbyint(0.5 * (log2(row) - log2(column))));
-            if (!(column * by + row / by < BALANCED * (column + row))) continue;
-            for (int j = 0; j < n; j++) a[j * n + i] *= by;
-            for (int j = 0; j < n; j++) a[i * n + j] /= by;
-            scale[i] *= by, settled = 0;
-        }
-    }
-}
-
-/* exp(a) in place of a, by scaling and squaring. Returns 0 if it is not finite. */
-static int exponential(int n, double *a)
-{
-    double scale[MOST], A2[MOST * MOST], A4[MOST * MOST], A6[MOST * MOST], odd[MOST * MOST], even[MOST * MOST];
-    double of[MOST * MOST] = {0}, norm = 0.0;
-    const double *b = PADE;
-    balance(n, a, scale);
-    for (int j = 0; j < n; j++) {
-        double column = 0.0;
-        for (int i = 0; i < n; i++) column += fabs(a[i * n + j]);
-        norm = column <= norm ? norm : column;
-    }
-    if (!(norm < INFINITY)) return 0;
-    const int squarings = norm > LARGEST_NORM ? (int)ceil(log2(norm / LARGEST_NORM)) : 0;
-    for (int i = 0; i < n * n; i++) a[i] = ldexp(a[i], -squarings);
-    multiplied(n, a, a, A2), multiplied(n, A2, A2, A4), multiplied(n, A4, A2, A6);
-    for (int i = 0; i < n * n; i++) of[i] = b[13] * A6[i] + b[11] * A4[i] + b[9] * A2[i];
-    multiplied(n, A6, of, odd);
-    for (int i = 0; i < n * n; i++)
-        odd[i] += b[7] * A6[i] + b[5] * A4[i] + b[3] * A2[i] + (i % (n + 1) ? 0.0 : b[1]);
-    multiplied(n, a, odd, of);
-    memcpy(odd, of, (size_t)(n * n) * sizeof(double));
-    for (int i = 0; i < n * n; i++) of[i] = b[12] * A6[i] + b[10] * A4[i] + b[8] * A2[i];
-    multiplied(n, A6, of, even);
-    for (int i = 0; i < n * n; i++)
-        even[i] += b[6] * A6[i] + b[4] * A4[i] + b[2] * A2[i] + (i % (n + 1) ? 0.0 : b[0]);
-    for (int i = 0; i < n * n; i++) a[i] = even[i] + odd[i], even[i] -= odd[i];
-    if (!solved(n, n, even, a)) return 0;
-    for (int k = 0; k < squarings; k++) {
-        multiplied(n, a, a, of);
-        memcpy(a, of, (size_t)(n * n) * sizeof(double));
-    }
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) a[i * n + j] *= scale[i] / scale[j];
-    return 1;
-}
-
-/* Sizes of the states under a square wave of the command, as `plant.scaling`; 1 for a state that it does not move. */
-static void sizes(int n, int stages, const double *A, double *found)
-{
-    double x[MOST] = {0}, next[MOST], across[MOST * MOST];
-    const int states = n - 1, longest = HALF_PERIOD * MOST_PERIODS;
-    const int halves = ((stages < longest ? stages : longest) + HALF_PERIOD - 1) / HALF_PERIOD;
-    for (int i = 0; i < n; i++) found[i] = 0.0;
-    for (int i = 0; i < states; i++)
-        for (int j = 0; j < n; j++) across[j * states + i] = A[i * n + j];
-    for (int k = 0; k < halves * HALF_PERIOD; k++) {
-        const double command = k / HALF_PERIOD % 2 ? -1.0 : 1.0;
-        for (int i = 0; i < states; i++) next[i] = command * across[states * states + i];
-        for (int j = 0; j < states; j++)
-            for (int i = 0; i < states; i++) next[i] += across[j * states + i] * x[j];
-        for (int i = 0; i < states; i++) {
-            x[i] = next[i];
-            found[i] = fabs(x[i]) > found[i] ? fabs(x[i]) : found[i];
-        }
-    }
-    for (int i = 0; i < n; i++) found[i] = found[i] > 0.0 ? found[i] : 1.0;
-}
-
-static int states_of(const tr_device *d)
-{
-    int n = d->plant + 2;
-    for (int t = 0; t < d->terms; t++) n += d->filter[t * TR_FILTER] != 0.0 ? 2 : 0;
-    return n;
-}
-
-/* A (n, n) and C (terms, n) of the scaled states: plant, current, error filters, held command. Returns n; 0 where there
- * are too many states, or a number is not finite. */
-static int scaled(const tr_device *d, double *A, double *C)
-{
-    double hold[MOST * MOST], size[MOST], made[MOST];
-    const int p = d->plant, n = states_of(d), held = p + 2;
-    if (n > MOST) return 0;
-    memcpy(hold, d->flow, (size_t)(held * held) * sizeof(double));
-    if (!exponential(held, hold)) return 0;
-    memset(A, 0, (size_t)(n * n) * sizeof(double));
-    memset(C, 0, (size_t)(d->terms * n) * sizeof(double));
-    for (int i = 0; i <= p; i++) {
-        for (int j = 0; j <= p; j++) A[i * n + j] = hold[i * held + j];
-        A[i * n + n - 1] = hold[i * held + p + 1], made[i] = d->output[i];
-    }
-    A[n * n - 1] = 1.0;
-    for (int t = 0, at = p + 1; t < d->terms; t++) {
-        const double *filter = d->filter + t * TR_FILTER;
-        const int filtered = filter[0] != 0.0;
-        for (int i = 0; i <= p; i++) C[t * n + i] = (filtered ? filter[3] : 1.0) * made[i];
-        if (!filtered) continue;
-        memcpy(A + at * n, made, (size_t)(p + 1) * sizeof(double));
-        A[at * n + at] = -filter[1], A[at * n + at + 1] = -filter[2], A[(at + 1) * n + at] = 1.0;
-        C[t * n + at] = filter[4], C[t * n + at + 1] = filter[5];
-        at += 2;
-    }
-    sizes(n, d->stages, A, size);
-    size[p] = 1.0;
-    int finite = 1;
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) A[i * n + j] *= size[j] / size[i], finite &= fabs(A[i * n + j]) < INFINITY;
-    for (int i = 0; i < d->terms * n; i++) C[i] *= size[i % n], finite &= fabs(C[i]) < INFINITY;
-    return finite ? n : 0;
-}
-
 /* Sum of products, in lanes that the compiler may work on side by side. */
 static double product(int count, const double *a, const double *b)
 {
@@ -187,237 +77,140 @@ static double product(int count, const double *a, const double *b)
     return sums[0] + sums[1] + (sums[2] + sums[3]) + rest;
 }
 
-/* sqrt of the product of 1-norm and infinity-norm, at least the 2-norm. */
-static double bounded(int n, const double *a)
+/* The order of the modes. Returns 0 where the current is none. */
+static int ordered(const tr_device *d, tr_modes *of)
 {
-    double columns = 0.0, rows = 0.0;
-    for (int i = 0; i < n; i++) {
-        double row = 0.0, column = 0.0;
-        for (int j = 0; j < n; j++) row += fabs(a[i * n + j]), column += fabs(a[j * n + i]);
-        rows = row <= rows ? rows : row, columns = column <= columns ? columns : column;
+    const int acting = d->plant + 1;
+    int reals = 0, own = -1;
+    double largest = 0.0;
+    of->pairs = 0;
+    for (int j = 0; j < acting; j++) of->pairs += d->values[2 * j + 1] > 0.0, reals += d->values[2 * j + 1] == 0.0;
+    of->count = of->pairs + reals;
+    if (of->pairs + of->count != acting) return 0;
+    for (int j = 0, pair = 0, real = of->pairs; j < acting; j++) {
+        const double part = fabs(d->vectors[2 * (d->plant * acting + j)]);
+        if (d->values[2 * j + 1] > 0.0) of->order[pair++] = j;
+        if (d->values[2 * j + 1] != 0.0) continue;
+        if (part > largest) largest = part, own = real;
+        of->order[real++] = j;
     }
-    return sqrt(rows * columns);
-}
-
-/* Upper Hessenberg form of a (n, n) in place, by elimination with pivoting (EISPACK elmhes). */
-static void hessenberg(int n, double *a)
-{
-    for (int m = 1; m < n - 1; m++) {
-        int at = m;
-        for (int i = m + 1; i < n; i++)
-            if (fabs(a[i * n + m - 1]) > fabs(a[at * n + m - 1])) at = i;
-        const double pivot = a[at * n + m - 1];
-        for (int j = m - 1; at != m && j < n; j++) {
-            const double held = a[at * n + j];
-            a[at * n + j] = a[m * n + j], a[m * n + j] = held;
-        }
-        for (int i = 0; at != m && i < n; i++) {
-            const double held = a[i * n + at];
-            a[i * n + at] = a[i * n + m], a[i * n + m] = held;
-        }
-        for (int i = m + 1; pivot != 0.0 && i < n; i++) {
-            const double by = a[i * n + m - 1] / pivot;
-            a[i * n + m - 1] = 0.0;
-            for (int j = m; j < n; j++) a[i * n + j] -= by * a[m * n + j];
-            for (int j = 0; j < n; j++) a[j * n + m] += by * a[j * n + i];
-        }
-    }
-}
-
-/* One of Francis' double QR steps on the rows and columns first..last of a Hessenberg matrix, with the shifts' sum and
- * product; it starts at the row at which two small subdiagonal entries follow each other. */
-static void francis(int n, double *a, int first, int last, double sum, double product_of_both)
-{
-    double p = 0.0, q = 0.0, r = 0.0;
-    int from = last - 2;
-    for (; from >= first; from--) {
-        const double *row = a + from * n + from, *next = row + n;
-        p = row[0] * (row[0] - sum) + product_of_both + row[1] * next[0];
-        q = next[0] * (row[0] + next[1] - sum), r = next[0] * next[n + 1];
-        const double size = fabs(p) + fabs(q) + fabs(r);
-        p /= size, q /= size, r /= size;
-        if (from == first) break;
-        const double around = fabs(row[-n - 1]) + fabs(row[0]) + fabs(next[1]);
-        if (fabs(row[-1]) * (fabs(q) + fabs(r)) <= DBL_EPSILON * fabs(p) * around) break;
-    }
-    for (int k = from; k < last; k++) {
-        const int three = k < last - 1;
-        double size = 1.0;
-        if (k > from) {
-            p = a[k * n + k - 1], q = a[(k + 1) * n + k - 1], r = three ? a[(k + 2) * n + k - 1] : 0.0;
-            size = fabs(p) + fabs(q) + fabs(r);
-            if (size == 0.0) continue;
-            p /= size, q /= size, r /= size;
-        }
-        const double along = copysign(sqrt(p * p + q * q + r * r), p);
-        if (k > from) {
-            a[k * n + k - 1] = -along * size, a[(k + 1) * n + k - 1] = 0.0;
-            if (three) a[(k + 2) * n + k - 1] = 0.0;
-        } else if (from > first) {
-            a[k * n + k - 1] = -a[k * n + k - 1];
-        }
-        const double x = (p + along) / along, y = q / along, z = r / along, by = q / (p + along), by_z = r / (p + along);
-        for (int j = k; j < n; j++) {
-            const double t = a[k * n + j] + by * a[(k + 1) * n + j] + (three ? by_z * a[(k + 2) * n + j] : 0.0);
-            a[k * n + j] -= t * x, a[(k + 1) * n + j] -= t * y;
-            if (three) a[(k + 2) * n + j] -= t * z;
-        }
-        for (int i = 0; i <= (k + 3 < last ? k + 3 : last); i++) {
-            const double t = x * a[i * n + k] + y * a[i * n + k + 1] + (three ? z * a[i * n + k + 2] : 0.0);
-            a[i * n + k] -= t, a[i * n + k + 1] -= t * by;
-            if (three) a[i * n + k + 2] -= t * by_z;
-        }
-    }
-}
-
-/* Eigenvalues (n, 2), real and imaginary part, of a (n, n), which is overwritten. Returns 0 if they do not converge. */
-static int eigenvalues(int n, double *a, double *values)
-{
-    hessenberg(n, a);
-    for (int last = n - 1, steps = 0; last >= 0;) {
-        int first = last;
-        for (; first > 0; first--) {
-            const double beside = fabs(a[(first - 1) * n + first - 1]) + fabs(a[first * n + first]);
-            if (fabs(a[first * n + first - 1]) <= DBL_EPSILON * beside) break;
-        }
-        const double corner = a[last * n + last];
-        if (first == last) {
-            values[2 * last] = corner, values[2 * last + 1] = 0.0;
-            last--, steps = 0;
-            continue;
-        }
-        const double before = a[(last - 1) * n + last - 1], cross = a[last * n + last - 1] * a[(last - 1) * n + last];
-        if (first == last - 1) {
-            const double half = 0.5 * (before - corner), square = half * half + cross, root = sqrt(fabs(square));
-            const double far = half + copysign(root, half);
-            double *two = values + 2 * (last - 1);
-            if (square >= 0.0)
-                two[0] = corner + far, two[2] = far != 0.0 ? corner - cross / far : corner, two[1] = two[3] = 0.0;
-            else
-                two[0] = two[2] = corner + half, two[1] = root, two[3] = -root;
-            last -= 2, steps = 0;
-            continue;
-        }
-        if (steps == MOST_STEPS) return 0;
-        /* Now and then other shifts, for matrices on which the usual ones turn in circles. */
-        const double off = fabs(a[last * n + last - 1]) + fabs(a[(last - 1) * n + last - 2]);
-        if (++steps % 10)
-            francis(n, a, first, last, corner + before, corner * before - cross);
-        else
-            francis(n, a, first, last, 2.0 * corner + 1.5 * off, corner * (corner + 1.5 * off) + off * off);
-    }
+    if (own < 0) return 0;
+    const int other = of->order[of->count - 1];
+    of->order[of->count - 1] = of->order[own], of->order[own] = other;
     return 1;
 }
 
-/* The size of a complex number, up to a factor of sqrt(2). */
-static double size_of(const double *z) { return fabs(z[0]) + fabs(z[1]); }
-
-/* z -= x y, of complex numbers. */
-static void less(double *z, const double *x, const double *y)
+/* How the modes go on over a stage. */
+static void flowing(const tr_device *d, tr_modes *of)
 {
-    z[0] -= x[0] * y[0] - x[1] * y[1], z[1] -= x[0] * y[1] + x[1] * y[0];
-}
-
-/* z = x / y, of complex numbers; z may be x. */
-static void divided(double *z, const double *x, const double *y)
-{
-    const double square = y[0] * y[0] + y[1] * y[1], real = (x[0] * y[0] + x[1] * y[1]) / square;
-    z[1] = (x[1] * y[0] - x[0] * y[1]) / square, z[0] = real;
-}
-
-/* Eigenvector (n, 2) of a (n, n) for an eigenvalue that is known up to rounding, by two steps of inverse iteration. */
-static void eigenvector(int n, const double *a, const double *value, double *found)
-{
-    double of[2 * MOST * MOST], size = 0.0;
-    int chosen[MOST];
-    for (int i = 0; i < n * n; i++) of[2 * i] = a[i], of[2 * i + 1] = 0.0, size = fmax(size, fabs(a[i]));
-    for (int i = 0; i < n; i++) {
-        of[2 * i * (n + 1)] -= value[0], of[2 * i * (n + 1) + 1] -= value[1];
-        found[2 * i] = 1.0, found[2 * i + 1] = 0.0;
-    }
-    for (int k = 0; k < n; k++) {
-        double *row = of + 2 * k * n, *pivot = row + 2 * k;
-        int at = k;
-        for (int i = k + 1; i < n; i++)
-            if (size_of(of + 2 * (i * n + k)) > size_of(of + 2 * (at * n + k))) at = i;
-        chosen[k] = at;
-        for (int j = 0; at != k && j < 2 * n; j++) {
-            const double held = row[j];
-            row[j] = of[2 * at * n + j], of[2 * at * n + j] = held;
-        }
-        /* The matrix is singular up to rounding, by which the vector grows along the one sought. */
-        if (size_of(pivot) < DBL_EPSILON * size) pivot[0] = DBL_EPSILON * size, pivot[1] = 0.0;
-        for (int i = k + 1; i < n; i++) {
-            double *other = of + 2 * i * n, *by = other + 2 * k;
-            divided(by, by, pivot);
-            for (int j = k + 1; j < n; j++) less(other + 2 * j, by, row + 2 * j);
-        }
-    }
-    /* The first step starts behind the elimination, from ones. */
-    for (int step = 0; step < 2; step++) {
-        double largest = 0.0;
-        for (int k = 0; step && k < n; k++) {
-            double *own = found + 2 * k, *other = found + 2 * chosen[k];
-            const double real = own[0], imaginary = own[1];
-            own[0] = other[0], own[1] = other[1], other[0] = real, other[1] = imaginary;
-        }
-        for (int k = 0; step && k < n; k++)
-            for (int i = k + 1; i < n; i++) less(found + 2 * i, of + 2 * (i * n + k), found + 2 * k);
-        for (int i = n - 1; i >= 0; i--) {
-            for (int j = i + 1; j < n; j++) less(found + 2 * i, of + 2 * (i * n + j), found + 2 * j);
-            divided(found + 2 * i, found + 2 * i, of + 2 * i * (n + 1));
-            largest = fmax(largest, size_of(found + 2 * i));
-        }
-        for (int i = 0; i < 2 * n; i++) found[i] /= largest;
+    for (int k = 0; k < of->count; k++) {
+        const number flow = {d->values[2 * of->order[k]], d->values[2 * of->order[k] + 1]};
+        const double half = sin(0.5 * flow.im);
+        of->grown[k] = (number){exp(flow.re) * cos(flow.im), exp(flow.re) * sin(flow.im)};
+        const number less_one = {expm1(flow.re) * cos(flow.im) - 2.0 * half * half, of->grown[k].im};
+        of->held[k] = flow.re == 0.0 && flow.im == 0.0 ? (number){1.0, 0.0} : over(less_one, flow);
     }
 }
 
-/* Columns of T from the eigenvectors of A without its last row and column: complex modes in pairs, then real ones, the
- * current's last, then the held command. Returns the number of columns in pairs, or -1 where the current is no mode. */
-static int columns_of(int n, int current, const double *values, const double *vectors, double *T)
+/* Columns of T: an eigenvector of plant and current, which grows by `grown` from stage to stage, and the states of the
+ * error filters that go with it, (grown - A_f) w = B_f y. A pair has one for the real and one for the imaginary part, of
+ * unit length each; returns the ratio of their lengths before. */
+static double columns(const tr_device *d, int mode, number grown, int n, int at, double *T)
 {
-    const int m = n - 1;
-    int at = 0, own = -1;
+    const int acting = d->plant + 1, pair = d->values[2 * mode + 1] > 0.0;
+    number v[MOST], turned = {1.0, 0.0}, phase = {0.0, 0.0}, made = {0.0, 0.0};
+    double real = 0.0, imaginary = 0.0;
+    for (int i = 0; i < acting; i++) {
+        memcpy(v + i, d->vectors + 2 * (i * acting + mode), sizeof(number));
+        const number square = times(v[i], v[i]);
+        phase.re += square.re, phase.im += square.im;
+    }
+    /* The phase for which real and imaginary part are orthogonal. */
+    const double half = -0.5 * atan2(phase.im, phase.re);
+    if (pair) turned = (number){cos(half), sin(half)};
+    for (int i = 0; i < acting; i++) {
+        v[i] = times(v[i], turned);
+        made.re += d->output[i] * v[i].re, made.im += d->output[i] * v[i].im;
+    }
+    for (int t = 0, into = acting; t < d->terms; t++) {
+        const double *filter = d->filter + t * TR_FILTER;
+        if (filter[0] == 0.0) continue;
+        const number square = times(grown, grown);
+        const number by = {square.re + filter[1] * grown.re + filter[2], square.im + filter[1] * grown.im};
+        v[into + 1] = over((number){made.re * filter[6], made.im * filter[6]}, by);
+        v[into] = times(grown, v[into + 1]);
+        into += 2;
+    }
+    for (int i = 0; i < n - 1; i++) real += v[i].re * v[i].re, imaginary += v[i].im * v[i].im;
+    /* The current keeps its unit. */
+    real = at == n - 2 ? v[d->plant].re : sqrt(real), imaginary = pair ? sqrt(imaginary) : 1.0;
+    for (int i = 0; i < n - 1; i++) {
+        T[i * n + at] = v[i].re / real;
+        if (pair) T[i * n + at + 1] = v[i].im / imaginary;
+    }
+    return real / imaginary;
+}
+
+/* T of the states x = T z. */
+static void coordinates(const tr_device *d, int n, tr_modes *of, double *T)
+{
     memset(T, 0, (size_t)(n * n) * sizeof(double));
-    for (int j = 0; j < m; j++) {
-        double real = 0.0, imaginary = 0.0;
-        if (!(values[2 * j + 1] > 0.0)) continue;
-        if (at + 2 > m) return -1;
-        for (int i = 0; i < m; i++) {
-            const double *v = vectors + 2 * (j * m + i);
-            real += v[0] * v[0] - v[1] * v[1], imaginary += 2.0 * v[0] * v[1];
-        }
-        /* The phase for which real and imaginary part are orthogonal. */
-        const double half = 0.5 * atan2(imaginary, real), c = cos(half), s = sin(half);
-        for (int i = 0; i < m; i++) {
-            const double *v = vectors + 2 * (j * m + i);
-            T[i * n + at] = v[0] * c + v[1] * s, T[i * n + at + 1] = v[1] * c - v[0] * s;
-        }
+    for (int k = 0; k < of->count; k++) of->ratio[k] = columns(d, of->order[k], of->grown[k], n, place(of, k), T);
+    for (int j = 0; j < n; j++) T[d->plant * n + j] = j == n - 2 ? 1.0 : 0.0;
+    for (int i = 0; i < of->filters; i++) T[(d->plant + 1 + i) * n + 2 * of->pairs + i] = 1.0;
+    T[n * n - 1] = 1.0;
+}
+
+/* A of z. The command acts on the current, by which it drives every mode; what a mode then moves in the error filters,
+ * their own states take back. */
+static void dynamics(const tr_device *d, int n, const tr_modes *of, const double *T, const double *inverse, double *A)
+{
+    const int m = n - 1, first = 2 * of->pairs;
+    double *driven = A + m; /* its last column, every n-th number */
+    memset(A, 0, (size_t)(n * n) * sizeof(double));
+    for (int k = 0; k < of->count; k++) {
+        const int at = place(of, k);
+        const number grown = of->grown[k], held = of->held[k];
+        const double own = d->rate * inverse[at * n + d->plant], ratio = of->ratio[k];
+        A[at * n + at] = grown.re, driven[at * n] = held.re * own;
+        if (k >= of->pairs) continue;
+        const double other = d->rate * inverse[(at + 1) * n + d->plant];
+        A[(at + 1) * n + at + 1] = grown.re;
+        A[at * n + at + 1] = grown.im * ratio, A[(at + 1) * n + at] = -grown.im / ratio;
+        driven[at * n] += held.im * ratio * other;
+        driven[(at + 1) * n] = held.re * other - held.im / ratio * own;
+    }
+    for (int i = 0; i < of->filters; i++) {
+        double sum = 0.0;
+        for (int k = 0; k < first; k++) sum += T[(d->plant + 1 + i) * n + k] * driven[k * n];
+        for (int k = first + of->filters; k < m; k++) sum += T[(d->plant + 1 + i) * n + k] * driven[k * n];
+        driven[(first + i) * n] = -sum;
+    }
+    for (int t = 0, at = first; t < d->terms; t++) {
+        const double *filter = d->filter + t * TR_FILTER;
+        if (filter[0] == 0.0) continue;
+        A[at * n + at] = -filter[1], A[at * n + at + 1] = -filter[2], A[(at + 1) * n + at] = 1.0;
         at += 2;
     }
-    const int pairs = at;
-    for (int j = 0; j < m; j++)
-        if (values[2 * j + 1] == 0.0 &&
-            (own < 0 || fabs(vectors[2 * (j * m + current)]) > fabs(vectors[2 * (own * m + current)])))
-            own = j;
-    if (own < 0) return -1;
-    for (int j = 0; j < m; j++) {
-        if (values[2 * j + 1] != 0.0 || j == own) continue;
-        for (int i = 0; i < m; i++) T[i * n + at] = vectors[2 * (j * m + i)];
-        at++;
-    }
-    if (at != m - 1) return -1;
-    for (int i = 0; i < m; i++) T[i * n + at] = vectors[2 * (own * m + i)];
-    T[n * n - 1] = 1.0;
-    for (int j = 0; j < m; j++) {
-        double square = 0.0;
-        for (int i = 0; i < m; i++) square += T[i * n + j] * T[i * n + j];
-        /* The current keeps its unit. */
-        const double by = j == at ? T[current * n + at] : sqrt(square);
-        for (int i = 0; i < m; i++) T[i * n + j] /= by;
-    }
-    for (int j = 0; j < n; j++) T[current * n + j] = j == at ? 1.0 : 0.0;
-    return pairs;
+    A[n * n - 1] = 1.0;
+}
+
+/* The modal coordinates z of the states, x = T z, and A in them. Returns a bound of the condition of T, infinite where the
+ * device has no such coordinates; `paired` is the number of states in pairs. */
+static double modal(const tr_device *d, int n, double *T, double *A, int *paired)
+{
+    double inverse[MOST * MOST] = {0}, left[MOST * MOST];
+    tr_modes of;
+    if (!ordered(d, &of)) return INFINITY;
+    of.filters = n - d->plant - 2, *paired = 2 * of.pairs + of.filters;
+    flowing(d, &of);
+    coordinates(d, n, &of, T);
+    for (int i = 0; i < n; i++) inverse[i * n + i] = 1.0;
+    memcpy(left, T, (size_t)(n * n) * sizeof(double));
+    if (!solved(n, n, left, inverse)) return INFINITY;
+    dynamics(d, n, &of, T, inverse, A);
+    if (!(product(n * n, A, A) < INFINITY)) return INFINITY;
+    return sqrt(product(n * n, T, T) * product(n * n, inverse, inverse));
 }
 
 /* Factor the outputs after the window: |O z - asked|^2 = |gain z - target|^2 + rest, O of `rows` rows, by Householder's
@@ -446,32 +239,11 @@ static double reduced(int rows, int n, double *work, double *gain, double *targe
     return rows > n ? product(rows - n, asked + n, asked + n) : 0.0;
 }
 
-/* The modal coordinates z of the states, x = T z, and A in them. Returns a bound of the condition of T, infinite where A
- * has no such coordinates; `pairs` is the number of states in pairs. */
-static double modal(int n, int current, const double *A, double *T, double *found, int *pairs)
+static int states_of(const tr_device *d)
 {
-    double values[2 * MOST], vectors[2 * MOST * MOST], inverse[MOST * MOST], of[MOST * MOST], left[MOST * MOST];
-    const int m = n - 1;
-    for (int i = 0; i < m; i++) memcpy(of + i * m, A + i * n, (size_t)m * sizeof(double));
-    memcpy(left, of, (size_t)(m * m) * sizeof(double));
-    if (!eigenvalues(m, left, values)) return INFINITY;
-    for (int j = 0; j < m; j++)
-        if (values[2 * j + 1] >= 0.0) eigenvector(m, of, values + 2 * j, vectors + 2 * j * m);
-    *pairs = columns_of(n, current, values, vectors, T);
-    if (*pairs < 0) return INFINITY;
-    memset(inverse, 0, (size_t)(n * n) * sizeof(double));
-    for (int i = 0; i < n; i++) inverse[i * n + i] = 1.0;
-    memcpy(left, T, (size_t)(n * n) * sizeof(double));
-    if (!solved(n, n, left, inverse)) return INFINITY;
-    multiplied(n, A, T, of), multiplied(n, inverse, of, found);
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) {
-            const int there = i == j || (i < m && j == m) || (i < *pairs && j == (i ^ 1));
-            if (!there && !(fabs(found[i * n + j]) <= LEFT_OUT)) return INFINITY;
-            found[i * n + j] = there ? found[i * n + j] : 0.0;
-        }
-    found[n * n - 1] = 1.0;
-    return bounded(n, T) * bounded(n, inverse);
+    int n = d->plant + 2;
+    for (int t = 0; t < d->terms; t++) n += d->filter[t * TR_FILTER] != 0.0 ? 2 : 0;
+    return n;
 }
 
 size_t tr_device_workspace(const tr_device *d)
@@ -481,18 +253,23 @@ size_t tr_device_workspace(const tr_device *d)
 
 double tr_device_stages(const tr_device *d, const double *asked, double unit, double *space, tr_stages *found)
 {
-    double A[MOST * MOST], C[MOST * MOST], T[MOST * MOST], gain[MOST * MOST];
+    double T[MOST * MOST], gain[MOST * MOST];
     int rows = 0, pairs;
     found->rest = 0.0;
-    const int n = d->terms <= MOST ? scaled(d, A, C) : 0, m = n - 1;
-    const double condition = n ? modal(n, d->plant, A, T, found->A, &pairs) : INFINITY;
+    const int n = states_of(d), m = n - 1;
+    const double condition = n <= MOST ? modal(d, n, T, found->A, &pairs) : INFINITY;
     if (!(condition < INFINITY)) return INFINITY;
-    for (int t = 0; t < d->terms; t++)
+    for (int t = 0, at = d->plant + 1; t < d->terms; t++) {
+        const double *filter = d->filter + t * TR_FILTER;
+        const int filtered = filter[0] != 0.0;
         for (int j = 0; j < n; j++) {
             double sum = 0.0;
-            for (int i = 0; i < n; i++) sum += C[t * n + i] * T[i * n + j];
-            found->C[t * n + j] = sum * d->input_scale / unit;
+            for (int i = 0; i <= d->plant; i++) sum += d->output[i] * T[i * n + j];
+            if (filtered) sum = filter[3] * sum + filter[4] * T[at * n + j] + filter[5] * T[(at + 1) * n + j];
+            found->C[t * n + j] = sum / unit;
         }
+        at += filtered ? 2 : 0;
+    }
     for (int t = 0; t < d->terms; t++) rows += d->root[t] > 0.0 ? d->after : 0;
     /* From the window's end on the command is zero: each mode goes on by itself. */
     for (int j = 0; j < m; j++) {

@@ -3,16 +3,18 @@
 #define DEVICE_H
 #include <stddef.h>
 
-enum { TR_MOST_DEVICE = 32, TR_FILTER = 6 };
+enum { TR_MOST_DEVICE = 32, TR_FILTER = 7 };
 
 typedef struct {
-    int plant, terms, stages; /* states of the plant, error terms, stages of the window */
-    int after, stride;        /* instants after the window, and from one term's target there to the next one's */
-    const double *flow;       /* (plant + 2, plant + 2) generator of plant, current and command, times the period */
-    const double *output;     /* (plant + 1) acceleration by plant and current */
-    const double *filter;     /* (terms, TR_FILTER) whether there is one, a1, a2, and its outputs by input and states */
-    const double *root;       /* (terms) roots of the weights after the window */
-    double input_scale, by;   /* unit of the command, root of the factor on the costs */
+    int plant, terms;              /* states of the plant, error terms */
+    int after, stride;             /* instants after the window, and from one term's target there to the next one's */
+    const double *values, *vectors; /* (plant + 1, 2), (plant + 1, plant + 1, 2) eigenvalues, real and imaginary part, of
+                                      the generator of plant and current, times the period; its vectors in columns */
+    const double *output;          /* (plant + 1) acceleration by plant and current */
+    const double *filter;          /* (terms, TR_FILTER) whether there is one, a1, a2, its outputs by input and states,
+                                      and the states by the input */
+    const double *root;            /* (terms) roots of the weights after the window */
+    double rate, by;               /* the amplifier's, times the period; root of the factor on the costs */
 } tr_device;
 
 typedef struct {

@@ -22,7 +22,7 @@ from transopt.solvers.stage_data import Stages, records_of
 
 EXTENSION = "_riccati.pyd" if os.name == "nt" else "_riccati.so"
 MOST_STATES, MOST_MOTORS, MOST_ROWS = 96, 4, 128  # of riccati.c
-INTERFACE = 11  # version as in `tr_interface` of riccati.c; both change with the meaning of arguments or results
+INTERFACE = 12  # version as in `tr_interface` of riccati.c; both change with the meaning of arguments or results
 
 
 class _Host(ct.Structure):
