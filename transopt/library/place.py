@@ -84,7 +84,7 @@ class Between:
     Attributes
     ----------
     at : indices of these speeds and grips.
-    weights : (speeds grips,) of these nodes in a bilinear interpolation.
+    weights : (speeds, grips) of these nodes in a bilinear interpolation.
     """
 
     at: tuple[slice, slice]
@@ -93,12 +93,11 @@ class Between:
     @classmethod
     def of_place(cls, speeds_m_s: FloatArray, grips_N: FloatArray, place: Place) -> "Between":
         (speeds, by_speed), (grips, by_grip) = around(speeds_m_s, place.speed_m_s), around(grips_N, place.grip_N)
-        return cls((speeds, grips), np.array([v * g for v in by_speed for g in by_grip]))
+        return cls((speeds, grips), np.array([[v * g for g in by_grip] for v in by_speed]))
 
     def of(self, nodes: FloatArray) -> FloatArray:
         """(...) bilinear interpolation of a number or a course (v, g, ...) of the nodes."""
-        there = nodes[self.at]
-        return np.asarray(np.einsum("n,n...->...", self.weights, there.reshape(self.weights.size, *there.shape[2:])))
+        return np.asarray(np.einsum("vg,vg...->...", self.weights, nodes[self.at]))
 
 
 def interpolation_weights(nodes: FloatArray, value: float) -> FloatArray:

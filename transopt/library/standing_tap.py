@@ -6,6 +6,7 @@ certified for exactly the grip asked; whatever it does not answer is left to `on
 """
 
 from collections.abc import Iterator
+from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from transopt.library.library import Library
 from transopt.library.place import Between, Place
 from transopt.plant.coil import CoilModel
 from transopt.plant.state_space import StateSpace
-from transopt.problem.answer import OBJECTIVE_SCALE, Certificate
+from transopt.problem.answer import Certificate
 from transopt.problem.heat import winding_limit_C
 from transopt.problem.leave_out import leave_out
 from transopt.problem.limits.row import COMMAND, HELD, INPUT
@@ -26,6 +27,7 @@ from transopt.problem.objective.tracking import Tracking
 from transopt.problem.posing import Posing
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import BINDING_MULTIPLIER, left_over
+from transopt.solvers.prove import of_numbers
 from transopt.solvers.standing import Proof, Standing, stands
 
 MARGIN = 24  # stages beyond the last at which a limit is expected to bind, up to which it is stated
@@ -103,13 +105,13 @@ class StandingTap:
         if not self._poses(plant, courses[:targets]):
             return None
         values = courses[targets:]
-        for stated in self._attempts(values.reshape(self._lower.shape), self._expected(between)):
+        for stated in self._attempts(values.reshape(self._lower.shape), between):
             command = self._standing.unlimited() if stated is None else self._standing.limited(stated)
             if command is None:
                 continue
             proof = self._standing.proven()
             certificate = self._certificate(proof, heats=coil is not None)
-            if certificate.accepted and (stated is not None or max(proof.excess) <= 0):
+            if certificate and certificate.accepted and (stated is not None or max(proof.excess) <= 0):
                 keeps = temperature is None or self._keeps(temperature, command)
                 return (command, certificate) if keeps else None
         return None
@@ -119,7 +121,8 @@ class StandingTap:
         standing, p = self._standing, self._standing.plant
         if plant.A.shape != (p, p) or plant.B.shape != (p, 1) or plant.C.shape != (1, p):
             return False
-        standing.drive(plant)
+        if not standing.drive(plant):
+            return False
         wanted = targets.reshape(self._weights.shape)
         squares = wanted * wanted
         energy, lost = (float(np.vdot(weights, squares)) for weights in (self._weights, self._lost))
@@ -130,11 +133,11 @@ class StandingTap:
 
         The mean of those nodes in which one does, by their weights; 0 if there is none.
         """
-        bound = self._bound[between.at].ravel()
-        weight = float(between.weights @ (bound > 0))
-        return MARGIN + round(float(between.weights @ bound) / weight) if weight > 0 else 0
+        bound = self._bound[between.at]
+        weight = float(np.vdot(between.weights, bound > 0))
+        return MARGIN + round(float(np.vdot(between.weights, bound)) / weight) if weight > 0 else 0
 
-    def _attempts(self, values: FloatArray, cut: int) -> Iterator[int | None]:
+    def _attempts(self, values: FloatArray, between: Between) -> Iterator[int | None]:
         """Numbers of stages at which limits are stated, in the order of trial; None for no limits, 0 for all stages.
 
         Parameters
@@ -145,6 +148,7 @@ class StandingTap:
         excess = float(np.maximum(values - self._upper, self._lower - values).max())
         if not excess > -NEAR:
             yield None
+        cut = self._expected(between)
         if not excess > NEAR:
             cut = 3 * cut // 2  # limits that only just bind do so later than in the nodes
         while 0 < cut <= 3 * self._problem.free_stages // 4:
@@ -169,25 +173,17 @@ class StandingTap:
         forcing[1:, 0] = (1 - self._decay) * command[:-1]
         return self._lag.run(forcing)[:, 0]
 
-    def _certificate(self, proof: Proof, *, heats: bool) -> Certificate:
-        """The certificate from a proof's numbers, as `solvers.prove` makes it."""
+    def _certificate(self, proof: Proof, *, heats: bool) -> Certificate | None:
+        """The certificate from a proof's numbers; None where one is not finite."""
+        if not all(map(isfinite, (*proof.excess, *proof[1:5]))):
+            return None
         outside = [(limit, by) for (limit, _), by in zip(self._problem.rows(), proof.excess, strict=True)]
         violations, excess = left_over(self._problem, outside, proof.residual)
         if heats:
             violations[TemperatureLimit.base_unit()] = 0.0
-        gap = proof.gap_by_command
-        if gap > Certificate.GAP_TOLERANCE * max(proof.merit, OBJECTIVE_SCALE) and self._problem.movement.weight > 0:
-            gap = float(np.fmin(gap, proof.gap_by_movement))
-        return Certificate(
-            objective=proof.merit,
-            merit=proof.merit,
-            violations=violations,
-            excess=excess,
-            dual_residual=proof.dual_residual,
-            duality_gap=gap,
-            lower_bound=proof.merit - gap,
-            finite=bool(np.isfinite([*proof.excess, *proof[1:]]).all()),
-        )
+        gaps = proof.gap_by_command, proof.gap_by_movement
+        of = self._problem, violations, excess, proof.merit
+        return of_numbers(*of, dual_residual=proof.dual_residual, gaps=gaps)
 
     def _temperature(self, coil: CoilModel | None) -> TemperatureLimit | None:
         """The winding's limit from this start; None where no command reaches it."""

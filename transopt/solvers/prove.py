@@ -142,14 +142,39 @@ def _certificate(
     if not np.isfinite(relative):
         return None
     reward = problem.tracking.reward(effect.accelerations_m_s2) if problem.intensity > 0 else 0.0
+    return of_numbers(
+        problem, violations, relative, merit, dual_residual=dual, gaps=(gap, by_movement), reward=reward
+    )
+
+
+def of_numbers(
+    problem: TransientProblem,
+    violations: dict[str, float],
+    excess: float,
+    merit: float,
+    *,
+    dual_residual: float,
+    gaps: tuple[float, float],
+    reward: float = 0.0,
+) -> Certificate:
+    """The certificate from finite numbers in SI.
+
+    Parameters
+    ----------
+    violations, excess : of the limits, as `certify.left_over` gives them.
+    gaps : on the merit, from the bound on the commands and from the movement's curvature; the second counts only
+        where the first is too large.
+    reward : of the intensity, which the objective has in addition.
+    """
+    gap, by_movement = gaps
     if gap > Certificate.GAP_TOLERANCE * max(merit + reward, OBJECTIVE_SCALE) and problem.movement.weight > 0:
         gap = float(np.fmin(gap, by_movement))
     return Certificate(
         objective=merit + reward,
         merit=merit,
         violations=violations,
-        excess=relative,
-        dual_residual=dual,
+        excess=excess,
+        dual_residual=dual_residual,
         duality_gap=gap,
         lower_bound=merit - gap,
         finite=True,
