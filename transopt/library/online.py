@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from threading import RLock
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -91,7 +92,9 @@ class _Found(_Answer):
 
 
 class Online:
-    """Solves for the optimum of a measured tap with memory allocated once; for use by one thread at a time.
+    """Solves for the optimum of a measured tap with memory allocated once.
+
+    Threads may share one: their taps are then solved one after the other. Each with its own solves them side by side.
 
     Parameters
     ----------
@@ -129,6 +132,7 @@ class Online:
                 'online: robust.minimise = "worst" is a search through many optima for one tap: solve the scene '
                 'with "mean", or play the library as it is'
             )
+        self._lock = RLock()  # reentrant, for a `plant` that itself asks for a tap
         self._library, self._coil = library, library.coil()
         if plant is None:
             scene = library.scene()
@@ -222,15 +226,21 @@ class Online:
         coil, remark = _heated(self._coil, limits.get("temperature_C"), winding_C, housing_C)
         if place.silent and not remark:
             remark = "nothing to play: too little grip or speed"
+        with self._lock:
+            wave, proof, remark = self._answered(posing, place, coil, limits, remark)
+        return OnlineTap(wave, proof, remark, time.perf_counter() - start)
+
+    def _answered(
+        self, posing: Posing, place: Place, coil: CoilModel | None, limits: Mapping[str, float], remark: str
+    ) -> tuple[Waveform, Certificate | None, str]:
+        """What `solve` answers; `remark` says why there is nothing to solve, if there is not."""
         if not remark and (standing := self._standing(posing, limits)):
             (plant,) = _made(self._plant, place.grip_N, "plant")
             if (known := standing.solved(plant, place, coil)) is not None:
                 command, certificate = known
-                wave = Waveform(**vars(place), command=command, transient_command=command)
-                return OnlineTap(wave, certificate, "", time.perf_counter() - start)
+                return Waveform(**vars(place), command=command, transient_command=command), certificate, ""
         with one_blas_thread():
-            wave, proof, remark = self._in_general(posing, place, coil, limits, remark)
-        return OnlineTap(wave, proof, remark, time.perf_counter() - start)
+            return self._in_general(posing, place, coil, limits, remark)
 
     def _standing(self, posing: Posing, limits: Mapping[str, float]) -> StandingTap | None:
         """The taps under these limits as a standing problem; None if they are not of that kind."""
@@ -247,7 +257,7 @@ class Online:
     def _in_general(
         self, posing: Posing, place: Place, coil: CoilModel | None, limits: Mapping[str, float], remark: str
     ) -> tuple[Waveform, Certificate | None, str]:
-        """What `solve` answers for a tap of any kind; `remark` says why it is not to be solved, if it is not."""
+        """What `solve` answers for a tap of any kind."""
         problem = None if remark else self._posed(posing, place.speed_m_s, place.grip_N, coil)
         found = remark if problem is None else self._optimum(problem)
         if isinstance(found, str):

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -157,6 +158,20 @@ class TestStandingTaps:
         command = first.wave.command.copy()
         standing.solve(0.2, 2.0)
         np.testing.assert_array_equal(first.wave.command, command)
+
+    def test_neither_earlier_taps_nor_other_threads_change_an_answer(self, library: Library) -> None:
+        solver, draws = Online(library), np.random.default_rng(8)
+        taps = [(*tap, None, None, None) for tap in draws.uniform((0.1, 1.0), (0.4, 5.0), (12, 2)).tolist()]
+        taps += [(0.4, 5.0, None, None, {"current_A": 3.0}), (0.3, 4.0, None, None, {"current_A": 3.5}), taps[0]]
+        known = [solver.solve(*tap).wave.command for tap in taps]
+
+        def again(seed: int) -> None:
+            for i in np.random.default_rng(seed).permutation(len(taps)):
+                np.testing.assert_allclose(solver.solve(*taps[i]).wave.command, known[i], rtol=0, atol=1e-12)
+
+        again(0)
+        with ThreadPoolExecutor(4) as pool:
+            list(pool.map(again, range(1, 9)))
 
     @pytest.mark.parametrize("wrong", ["order", "defective"])
     def test_a_device_of_another_kind_is_left_to_the_general_way(self, library: Library, wrong: str) -> None:
