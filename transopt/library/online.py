@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from threading import RLock
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -80,14 +80,8 @@ class OnlineTap:
         return self.certificate is not None
 
 
-@dataclass(frozen=True)
-class _Answer:
+class _Found(NamedTuple):
     command: FloatArray
-    multipliers: Multipliers
-
-
-@dataclass(frozen=True)
-class _Found(_Answer):
     proof: Certificate
 
 
@@ -264,7 +258,7 @@ class Online:
             wave = self._library.blend(place)
             if problem is None:  # the coil is too hot at the start
                 wave = _silent(wave)
-            elif limits and problem is not None and not inside(problem, wave.command):
+            elif limits and not inside(problem, wave.command):
                 wave = _silent(wave)
                 found = f"{found}; nothing is played, for the library's blend leaves these limits"
             return wave, None, found
@@ -337,31 +331,26 @@ class Online:
     ) -> tuple[Effect, Multipliers] | None:
         """An attempt's answer.
 
-        Under a temperature, limits are stated up to a little after `last`, and further if the answer leaves them.
-        Without one the extension does so itself.
+        Under a temperature, limits are stated up to a little after `last`, or everywhere if the answer leaves them.
+        Without one the extension shortens its search itself.
         """
         cut = last + MARGIN if attempt.thermal is not None and attempt.thermal.period_s is None else 0
-        while True:
-            if cut > 3 * attempt.free_stages // 4:
-                cut = 0  # the whole search
-            answer = self._by_interior_point(attempt, cut)
-            if answer is None and not cut:
-                return None
-            late = attempt.free_stages
+        for stated in (cut, 0) if 0 < cut <= 3 * attempt.free_stages // 4 else (0,):
+            answer = self._by_interior_point(attempt, stated)
             if answer is not None:
-                effect = Effect(problem, answer.command)
-                late = _last_outside(effect, attempt) if cut else -1
-                if late < cut or not cut:
-                    return effect, answer.multipliers
-            cut = max(late, 2 * cut) + MARGIN
+                command, multipliers = answer
+                effect = Effect(problem, command)
+                if not stated or _last_outside(effect, attempt) < stated:
+                    return effect, multipliers
+        return None
 
-    def _by_interior_point(self, problem: TransientProblem, cut: int = 0) -> _Answer | None:
+    def _by_interior_point(self, problem: TransientProblem, cut: int = 0) -> tuple[FloatArray, Multipliers] | None:
         given = _small_enough(stages(problem))
         (answer,) = interior_points([given], tolerance=TOLERANCE, max_iterations=MOST_ITERATIONS, cut=cut)
         if answer.code not in (SOLVED, ACCURACY):
             return None
         by_row = answer.upper - answer.lower
-        return _Answer(given.command(answer.command), given.multipliers(by_row, answer.gradient))
+        return given.command(answer.command), given.multipliers(by_row, answer.gradient)
 
     def _proven(self, effect: Effect, multipliers: Multipliers) -> _Found:
         """A command with its certificate; where the temperature binds, a convex problem bounds J from below."""
@@ -373,9 +362,9 @@ class Online:
                 relaxed = problem.replaced(problem.thermal.relaxed())
                 bound = self._by_interior_point(relaxed)
                 if bound is not None:
-                    lower = certify(relaxed, bound.command, bound.multipliers).lower_bound
+                    lower = certify(relaxed, *bound).lower_bound
                     proof = replace(proof, lower_bound=max(proof.lower_bound, lower))
-        return _Found(command, multipliers, proof)
+        return _Found(command, proof)
 
 
 def _small_enough(given: Stages) -> Stages:
