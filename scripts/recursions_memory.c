@@ -74,7 +74,7 @@ int main(void)
             }
     for (int m = 1; m <= 15; m += 7)
         for (size_t steps = 0; steps < 40; steps += 13)
-            for (size_t columns = 1; columns < 40; columns += 12) {
+            for (size_t columns = 1; columns < 40; columns += 11) {
                 /* The only output is the first state. */
                 const size_t n = (size_t)m, width = n + 4, height = 9 + n;
                 double *rows = doubles(height * width), *state = doubles(n * columns), *alone = doubles(n);
@@ -103,7 +103,7 @@ int main(void)
             }
     for (int m = 1; m <= 12; m += 3)
         for (int p = 1; p <= 3; p++)
-            for (int q = 1; q <= 7; q += 2)
+            for (int q = 1; q <= 25; q += 8)
                 for (size_t c = 0; c < sizeof counts / sizeof *counts; c++)
                     for (int back = 0; back < 2; back++) {
                         const size_t n = (size_t)m, K = counts[c], width = (size_t)(m + q + 3) / 4 * 4;
@@ -120,12 +120,18 @@ int main(void)
                                 const size_t row = i < (size_t)q ? n + i : i - (size_t)q;
                                 rows[i * wide + j] = S[(j < (size_t)p ? n + j : j - (size_t)p) * width + row];
                             }
-                        const struct sparse given = sparse_of((size_t)q + n, wide, rows);
-                        tr_courses(number, K, m, p, q, (int)width, S, given.starts, given.columns, given.values, all,
-                                   found, back);
+                        const size_t lanes = ((size_t)q + n + 7) / 8 * 8;
+                        double *by_columns = doubles(wide * lanes);
+                        for (size_t i = 0; i < wide * lanes; i++)
+                            by_columns[i] = i % lanes < (size_t)q + n ? rows[i % lanes * wide + i / lanes] : 0;
+                        /* Without sparse rows courses are worked on one by one. */
+                        const struct sparse rows_of = sparse_of((size_t)q + n, wide, rows), none = {NULL, NULL, NULL};
+                        const struct sparse given = number % 3 ? rows_of : none;
+                        tr_courses(number, K, m, p, q, (int)lanes, by_columns, given.starts, given.columns,
+                                   given.values, all, found, back);
                         memset(state, 0, number * n * sizeof(double));
-                        tr_largest(number, K, m, p, q, q, given.starts, given.columns, given.values, all, state,
-                                   largest);
+                        tr_largest(number, K, m, p, q, q, (int)lanes, by_columns, given.starts, given.columns,
+                                   given.values, all, state, largest);
                         memset(x, 0, n * sizeof(double));
                         for (size_t s = 0; s < K; s++) {
                             const size_t k = back ? K - 1 - s : s;
@@ -147,7 +153,7 @@ int main(void)
                                 if (!(fabs(state[last * n + i] - x[i]) <= 1e-9 * (1.0 + fabs(x[i])))) return 1;
                         }
                         free(S), free(all), free(found), free(x), free(next);
-                        free(rows), free(state), free(largest), freed(given);
+                        free(rows), free(state), free(largest), free(by_columns), freed(rows_of);
                         cases++;
                     }
     for (int m = 1; m <= 2; m++)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 CHUNK = 128  # stages in one band matrix, reused for a constant A
 EXTENSION = "_recursions.pyd" if os.name == "nt" else "_recursions.so"
-MOST_STATES, MOST_WIDTH, MOST_LARGEST, MOST_OUTPUTS = 64, 96, 192, 4  # of recursions.c
+MOST_STATES, MOST_WIDTH, MOST_LARGEST, MOST_FEW, MOST_DENSE, MOST_OUTPUTS = 64, 96, 192, 4, 256, 4  # of recursions.c
 
 
 def _library() -> ct.CDLL | None:
@@ -31,10 +31,10 @@ def _library() -> ct.CDLL | None:
     if not file.exists():
         return None
     library = ct.CDLL(str(file))
-    if not hasattr(library, "tr_largest"):
+    if not hasattr(library, "tr_most_few"):
         return None  # built from another version: not usable
-    most = library.tr_most_states(), library.tr_most_width(), library.tr_most_largest()
-    if most != (MOST_STATES, MOST_WIDTH, MOST_LARGEST):
+    most = {"states": MOST_STATES, "width": MOST_WIDTH, "largest": MOST_LARGEST, "few": MOST_FEW, "dense": MOST_DENSE}
+    if any(getattr(library, f"tr_most_{name}")() != number for name, number in most.items()):
         return None
     size, count, array = ct.c_size_t, ct.c_int, ct.c_void_p
     takes: dict[str, tuple[type, ...]] = {
@@ -42,7 +42,7 @@ def _library() -> ct.CDLL | None:
         "tr_forwards": (size, count, array, array),
         "tr_backwards": (size, count, array, array),
         "tr_courses": (size, size, *(count,) * 4, *(array,) * 6, count),
-        "tr_largest": (size, size, *(count,) * 4, *(array,) * 6),
+        "tr_largest": (size, size, *(count,) * 5, *(array,) * 7),
         "tr_square_means": (size, size, array, ct.c_double, *(array,) * 3),
         "tr_heated": (size, size, *(array,) * 5),
         "tr_bilinear": (size, count, *(array,) * 3, ct.c_double, array, array),
@@ -139,7 +139,8 @@ class LinearSystem:
         found = np.empty((M, q // terms))
         if COMPILED is not None and m <= MOST_STATES and p <= MOST_WIDTH and q // terms <= MOST_LARGEST:
             inputs = np.ascontiguousarray(inputs, dtype=float)
-            COMPILED.tr_largest(M, N, m, p, q, terms, *map(address, (*self._sparse, inputs, states, found)))
+            given = *self._compiled(M), *map(address, (inputs, states, found))
+            COMPILED.tr_largest(M, N, m, p, q, terms, *given)
             return found, states
         for course in range(M):
             outputs, states[course] = self._one_along(inputs[course], np.dtype(float), start=states[course])
@@ -155,11 +156,11 @@ class LinearSystem:
     def _along(self, inputs: FloatArray, *, back: bool) -> FloatArray:
         (*courses, p, N), (q, m), dtype = inputs.shape, self._C.shape, np.result_type(self._dtype, inputs)
         found = np.empty((*courses, q, N), dtype=dtype)
-        wide = max(self._matrix.shape[1], p) > MOST_WIDTH or m > MOST_STATES
+        wide = max(m + q, p) > MOST_WIDTH or m > MOST_STATES
         if dtype == np.float64 and COMPILED is not None and not wide:
-            inputs, matrix = np.ascontiguousarray(inputs, dtype=float), self._matrix
-            given = map(address, (matrix, *self._sparse, inputs, found))
-            COMPILED.tr_courses(math.prod(courses), N, m, p, q, matrix.shape[1], *given, back)
+            inputs, number = np.ascontiguousarray(inputs, dtype=float), math.prod(courses)
+            given = *self._compiled(number), address(inputs), address(found)
+            COMPILED.tr_courses(number, N, m, p, q, *given, back)
             return found
         for each in np.ndindex(*courses):
             along = inputs[each][:, ::-1] if back else inputs[each]
@@ -183,20 +184,29 @@ class LinearSystem:
     def _recursion(self) -> Recursion:
         return Recursion(self.A)
 
+    def _compiled(self, courses: int) -> tuple[int | None, ...]:
+        """Width and addresses as `recursions.c` takes the system; few courses do not need its sparse rows."""
+        width = self._columns.shape[1]
+        few = courses <= MOST_FEW and width <= MOST_DENSE
+        return width, address(self._columns), *((None,) * 3 if few else map(address, self._sparse))
+
     @cached_property
-    def _matrix(self) -> FloatArray:
-        """(m + p, width) matrix in the layout of `tr_courses`, its width padded to a multiple of four."""
-        m, width = self.A.shape[0], self.A.shape[0] + self._C.shape[0]
-        whole = np.zeros((m + self.B.shape[1], width + -width % 4), dtype=self._dtype)
-        whole[:m, :m], whole[:m, m:width] = self.A.T, self._C.T
-        whole[m:, :m], whole[m:, m:width] = self.B.T, self._D.T
-        return whole
+    def _rows(self) -> FloatArray:
+        """(q + m, p + m) rows [D C; B A], which sum over inputs and states."""
+        by_inputs, by_states = (np.concatenate(of) for of in ((self._D, self.B), (self._C, self.A)))
+        return np.concatenate([by_inputs, by_states], axis=1)
+
+    @cached_property
+    def _columns(self) -> FloatArray:
+        """(p + m, width) their columns, padded with zeros to a multiple of eight."""
+        height, width = self._rows.shape
+        found = np.zeros((width, height + -height % 8))
+        found[:, :height] = self._rows.T
+        return found
 
     @cached_property
     def _sparse(self) -> tuple[NDArray[Any], ...]:
-        """`sparse` of the rows [D C; B A], which sum over inputs and states."""
-        by_inputs, by_states = (np.concatenate(of) for of in ((self._D, self.B), (self._C, self.A)))
-        return sparse(np.concatenate([by_inputs, by_states], axis=1))
+        return sparse(self._rows)
 
 
 def sparse(rows: FloatArray) -> tuple[NDArray[Any], ...]:

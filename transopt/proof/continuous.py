@@ -25,6 +25,7 @@ STEP_RADIUS = 0.5  # largest |eigenvalue| times step at the start; an unresolved
 STEP_ERROR = 1e-10  # wanted relative difference between results with a step and with half of it
 MOST_HALVINGS = 6
 AFTER_S = 20e-3  # least simulated time after the waveform
+MOST_KEPT = 8  # systems of a period, two for the limits of an entry on each device
 SMALLEST = float(np.finfo(float).tiny)
 AGREEMENT = 1e-6  # largest accepted difference between replay and prediction, relative to the peak
 # If link and current forces cancel at the switching instants (a mass on a link that decays within one tick), y'' is
@@ -237,6 +238,20 @@ class Period:
         last = 2 * (self.at_switching.start + grid.stages - 1) + self.arriving  # segment that begins at tau_(N-1)
         return begins, last * self.segments[0].offsets_s.size + 1, ends
 
+    @cached_property
+    def parts(self) -> list[tuple[slice, list[tuple[int, slice]]]]:
+        """The periods in turn, in ranges whose samples are of the same of the four parts that `bounds` separate.
+
+        A range is one period or several, with each of its parts and that part's samples of a period.
+        """
+        K, found = self.to_samples.shape[2], []
+        cuts = {0, self.periods, *(min(cut, self.periods) for at in self.bounds for cut in (at // K, -(-at // K)))}
+        for first, last in itertools.pairwise(sorted(cuts)):
+            part = np.searchsorted(self.bounds, first * K + np.arange(K), side="right").tolist()
+            ends = {each: slice(part.index(each), part.index(each) + part.count(each)) for each in part}
+            found.append((slice(first, last), [*ends.items()]))
+        return found
+
     @property
     def at_switching(self) -> slice:
         """The periods whose arriving segments start at the switching instants of window and tail."""
@@ -251,6 +266,19 @@ class Period:
         return found
 
     def sampled(self, rows: FloatArray, offset: Sequence[int] = ()) -> LinearSystem:
+        """`_sampled`, of which the latest are kept: taps of one scene bound the same rows."""
+        key = rows.tobytes(), *offset
+        if (found := self._kept.get(key)) is None:
+            if len(self._kept) >= MOST_KEPT:
+                self._kept.clear()
+            found = self._kept[key] = self._sampled(rows, offset)
+        return found
+
+    @cached_property
+    def _kept(self) -> dict[tuple[object, ...], LinearSystem]:
+        return {}
+
+    def _sampled(self, rows: FloatArray, offset: Sequence[int]) -> LinearSystem:
         """From the commands that act, and offsets by `at_knots`, to values at the K samples of a period, r K outputs.
 
         Parameters
@@ -348,20 +376,17 @@ class Course:
         -------
         (M, r, 4) and (M, a) largest values; 0 for a part without a sample.
         """
-        period, (M, _, periods), K = self.period, self.acting.shape, self.period.to_samples.shape[2]
+        period, M, K = self.period, len(self.acting), self.period.to_samples.shape[2]
         inputs = np.concatenate([self.acting, *map(period.at_knots, offsets.values())], axis=1)
         early, late = (period.sampled(of, [*offsets]) for of in (rows, np.vstack([rows, after])))
-        cuts = {0, periods, *(min(cut, periods) for at in period.bounds for cut in (at // K, -(-at // K)))}
         found, states = np.zeros((M, len(rows) + len(after), 4)), np.zeros((M, period.flow.A.shape[0]))
-        for first, last in itertools.pairwise(sorted(cuts)):
-            # Either one period or several between two bounds, whose samples all belong to the same part.
-            part = np.searchsorted(period.bounds, first * K + np.arange(K), side="right")
-            system = late if part[-1] == len(period.bounds) else early
-            values, states = system.largest(inputs[..., first:last], states)
+        for at, parts in period.parts:
+            system = late if parts[-1][0] == len(period.bounds) else early
+            values, states = system.largest(inputs[..., at], states)
             values = values.reshape(M, -1, K)
-            for each in set(part.tolist()):
+            for each, samples in parts:
                 kept = found[:, : values.shape[1], each]
-                np.maximum(kept, values[..., part == each].max(axis=2), out=kept)
+                np.maximum(kept, values[..., samples].max(axis=2), out=kept)
         return found[:, : len(rows)], found[:, len(rows) :, -1]
 
 

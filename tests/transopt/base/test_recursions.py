@@ -8,6 +8,7 @@ from scipy.interpolate import CubicSpline
 from transopt.base import recursions
 from transopt.base.recursions import (
     CHUNK,
+    MOST_DENSE,
     MOST_LARGEST,
     MOST_STATES,
     MOST_WIDTH,
@@ -140,6 +141,23 @@ def test_the_largest_outputs_are_those_of_all_outputs(M: int, terms: int) -> Non
     assert np.isfinite(first).all()
     np.testing.assert_allclose(np.maximum(first, second), found, rtol=1e-13)
     np.testing.assert_allclose(last, states, rtol=1e-13)
+
+
+@pytest.mark.parametrize("q", [26, 60, 189, MOST_DENSE + 2])  # from a few registers to more than stand together
+@pytest.mark.parametrize("M", [1, 5])
+@pytest.mark.parametrize("terms", [1, 2])
+def test_the_largest_of_many_outputs(q: int, M: int, terms: int) -> None:
+    random, q = np.random.default_rng(q), q - q % terms
+    A, B, C, D = (0.3 * random.standard_normal(of) for of in ((7, 7), (7, 2), (q, 7), (q, 2)))
+    inputs, start = random.standard_normal((M, 2, 30)), random.standard_normal((M, 7))
+    expected, x = np.zeros((M, q // terms)), start
+    for k in range(30):
+        y = x @ C.T + inputs[..., k] @ D.T
+        expected = np.maximum(expected, np.abs(y).reshape(M, -1, terms).sum(axis=2))
+        x = x @ A.T + inputs[..., k] @ B.T
+    found, states = LinearSystem(A, B, C, D).largest(inputs, start, terms=terms)
+    np.testing.assert_allclose(found, expected, rtol=1e-11)
+    np.testing.assert_allclose(states, x, rtol=0, atol=1e-11 * np.abs(x).max())
 
 
 def test_the_largest_of_more_outputs_than_are_compiled() -> None:

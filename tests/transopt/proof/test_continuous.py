@@ -7,7 +7,7 @@ import pytest
 
 from tests.conftest import ProblemMaker
 from transopt.base import recursions
-from transopt.proof.continuous import accurate
+from transopt.proof.continuous import MOST_KEPT, accurate
 
 
 @pytest.fixture(params=["compiled", "banded"], autouse=True)
@@ -69,3 +69,16 @@ def test_rounding_is_that_of_the_terms_of_the_acceleration(make_problem: Problem
     np.testing.assert_allclose(parts.sum(axis=1), course.accelerations, rtol=1e-9, atol=1e-9)
     expected = 16 * np.finfo(float).eps * np.abs(parts).sum(axis=1).max(axis=1)
     np.testing.assert_allclose(course.rounding, expected, rtol=1e-12)
+
+
+def test_the_systems_that_a_period_keeps_are_few_and_those_asked_for(make_problem: ProblemMaker) -> None:
+    problem = make_problem(stages=20)
+    course = accurate(problem.stage, problem.grid, np.random.default_rng(0).uniform(-4, 4, (1, 20)), None)
+    period, rows = course.period, np.eye(1, course.period.to_samples.shape[0])
+    first, acting = period.sampled(rows), course.acting
+    assert period.sampled(rows.copy()) is first
+    for scale in range(2, 2 * MOST_KEPT):
+        found = period.sampled(scale * rows).outputs(acting)
+        np.testing.assert_allclose(found, scale * first.outputs(acting), rtol=1e-12, atol=1e-12)
+        assert period.sampled(scale * rows, [0]) is not period.sampled(scale * rows)
+    assert len(period._kept) <= MOST_KEPT

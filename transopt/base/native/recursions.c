@@ -10,6 +10,7 @@
 #include <string.h>
 
 enum { MOST_STATES = 64, MOST_WIDTH = 96, MOST_LARGEST = 192, WIDE = 8 };
+enum { MOST_FEW = 4, MOST_DENSE = MOST_LARGEST + MOST_STATES };
 
 #if defined(__GNUC__)
 #define ALWAYS_INLINE static inline __attribute__((always_inline))
@@ -113,26 +114,13 @@ void tr_backwards(size_t count, int m, const double *P, double *x)
             for (size_t j = 0; j < n; j++) x[(k - 1) * n + j] += P[((k - 1) * n + i) * n + j] * x[k * n + i];
 }
 
-/* y_k = C x_k + D u_k along x_(k+1) = A x_k + B u_k, x = 0 at first, for k = 0..count-1 or, `back`, for count-1..0:
- * u (inputs, count), y (outputs, count), and S (m + inputs, width) = [A' C'; B' D'], its rows padded with zeros. */
-ALWAYS_INLINE void outputs_of(const size_t count, const int m, const int inputs, const int outputs, const int width,
-                              const double *restrict S, const double *restrict u, double *restrict y, const int back)
-{
-    double now[MOST_WIDTH] = {0}, next[MOST_WIDTH], felt[MOST_WIDTH];
-    for (size_t s = 0; s < count; s++) {
-        const size_t k = back ? count - 1 - s : s;
-        for (int i = 0; i < inputs; i++) felt[i] = u[(size_t)i * count + k];
-        memset(next, 0, (size_t)width * sizeof(double));
-        add(inputs, width, S + m * width, felt, next);
-        add(m, width, S, now, next);
-        memcpy(now, next, (size_t)width * sizeof(double));
-        for (int i = 0; i < outputs; i++) y[(size_t)i * count + k] = now[m + i];
-    }
-}
-
 /* The widest row of a linear system that these functions take, and the most outputs of which they keep the largest. */
 int tr_most_width(void) { return MOST_WIDTH; }
 int tr_most_largest(void) { return MOST_LARGEST; }
+
+/* The most courses that are worked on one by one, rows side by side, if the rows have at most this width. */
+int tr_most_few(void) { return MOST_FEW; }
+int tr_most_dense(void) { return MOST_DENSE; }
 
 /* Time series processed side by side: up to four registers of the widest kind. One alone would wait for its own results
  * most of the time. */
@@ -158,6 +146,83 @@ ALWAYS_INLINE void sum_of(const int registers, const struct sparse *rows, const 
         for (int r = 0; r < registers; r++) sum[r] += rows->values[at] * z[rows->columns[at]].in[r];
     for (int r = 0; r < registers; r++) to->in[r] = sum[r];
 }
+
+/* One course: its system [D C; B A] over inputs and states by columns, S (inputs + m, width), its rows padded with zeros
+ * to a multiple of eight. See `tr_courses` and, if `terms`, `tr_largest`. */
+#define COURSE_ARGUMENTS                                                                                             \
+    const size_t count, const int m, const int inputs, const int outputs, const int terms, const int width,          \
+        const double *S, const double *u, double *y, double *state, const int back
+typedef void course_of(COURSE_ARGUMENTS);
+
+/* The sums of the first rows that fill so many registers over inputs `felt` and states `now`. */
+ALWAYS_INLINE void sums_in(const int registers, const int inputs, const int m, const int width, const double *S,
+                           const double *felt, const double *now, double *to)
+{
+    wide sum[REGISTERS] = {0}, row;
+    for (int j = 0; j < inputs + m; j++, S += width) {
+        const double by = j < inputs ? felt[j] : now[j - inputs];
+        for (int r = 0; r < registers; r++) {
+            memcpy(&row, S + r * ABREAST, sizeof row);
+            sum[r] += row * by;
+        }
+    }
+    memcpy(to, sum, (size_t)registers * sizeof *sum);
+}
+
+ALWAYS_INLINE void course(COURSE_ARGUMENTS)
+{
+    /* Outputs and then states, of this step and the one before. */
+    double held[2][MOST_DENSE] = {{0}}, felt[MOST_WIDTH];
+    wide most[MOST_LARGEST / ABREAST] = {0}, seen;
+    const int kept = terms ? outputs / terms : 0;
+    if (state) memcpy(held[1] + outputs, state, (size_t)m * sizeof *state);
+    for (size_t s = 0; s < count; s++) {
+        const size_t k = back ? count - 1 - s : s;
+        const double *now = held[1 - s % 2] + outputs;
+        double *to = held[s % 2];
+        for (int i = 0; i < inputs; i++) felt[i] = u[(size_t)i * count + k];
+        /* From the end, where the states are, for which the next step waits. */
+        for (int left = width / ABREAST, used; left > 0; left -= used) {
+            used = left < REGISTERS ? left : REGISTERS;
+            const int at = (left - used) * ABREAST;
+            switch (used) {
+            case 1: sums_in(1, inputs, m, width, S + at, felt, now, to + at); break;
+            case 2: sums_in(2, inputs, m, width, S + at, felt, now, to + at); break;
+            case 3: sums_in(3, inputs, m, width, S + at, felt, now, to + at); break;
+            default: sums_in(REGISTERS, inputs, m, width, S + at, felt, now, to + at);
+            }
+        }
+        for (int i = 0; i < outputs && !terms; i++) y[(size_t)i * count + k] = to[i];
+        for (int i = 0; i < kept && terms > 1; i++) {
+            double whole = 0;
+            for (int j = 0; j < terms; j++) whole += fabs(to[i * terms + j]);
+            to[i] = whole;
+        }
+        for (int r = 0; r * ABREAST < kept; r++) {
+            memcpy(&seen, to + r * ABREAST, sizeof seen);
+            to_magnitude(&seen), keep_larger(&seen, most + r);
+        }
+    }
+    if (state) memcpy(state, held[1 - count % 2] + outputs, (size_t)m * sizeof *state);
+    if (terms) memcpy(y, most, (size_t)kept * sizeof *y);
+}
+
+static void course_anywhere(COURSE_ARGUMENTS)
+{
+    course(count, m, inputs, outputs, terms, width, S, u, y, state, back);
+}
+
+#if defined(WITH_AVX2)
+WITH_AVX2 static void course_avx2(COURSE_ARGUMENTS)
+{
+    course(count, m, inputs, outputs, terms, width, S, u, y, state, back);
+}
+
+WITH_AVX512 static void course_avx512(COURSE_ARGUMENTS)
+{
+    course(count, m, inputs, outputs, terms, width, S, u, y, state, back);
+}
+#endif
 
 #define COURSES_ARGUMENTS                                                                                            \
     const size_t count, const int m, const int inputs, const int outputs, const int terms, const struct sparse *rows, \
@@ -249,43 +314,44 @@ WITH_AVX512 static void courses_avx512(COURSES_ARGUMENTS)
 }
 #endif
 
-/* As `outputs_of` for any number of courses: u (courses, inputs, count), y (courses, outputs, count); width >= m +
- * outputs, and neither it nor the number of inputs above MOST_WIDTH; one input at least. From three courses on they are
- * worked on side by side, by the sparse rows [D C; B A] over inputs and states. */
+/* Of any number of courses, a few one by one and more of them side by side. */
+ALWAYS_INLINE void any_courses(size_t number, const size_t count, const int m, const int inputs, const int outputs,
+                               const int terms, const int width, const double *S, const struct sparse *rows,
+                               const double *u, double *y, double *state, const int back)
+{
+    courses_of *const side_by_side = BEST_OF(courses);
+    course_of *const alone = BEST_OF(course);
+    const size_t found = terms ? (size_t)(outputs / terms) : (size_t)outputs * count;
+    for (size_t used; number > 0; number -= used) {
+        const int few = !rows->starts || (number <= MOST_FEW && width <= MOST_DENSE);
+        used = few ? 1 : number < LANES ? number : LANES;
+        if (few) alone(count, m, inputs, outputs, terms, width, S, u, y, state, back);
+        else side_by_side(count, m, inputs, outputs, terms, rows, u, y, state, back, used);
+        u += used * (size_t)inputs * count, y += used * found;
+        if (state) state += used * (size_t)m;
+    }
+}
+
+/* y_k = C x_k + D u_k along x_(k+1) = A x_k + B u_k, x = 0 at first, for k = 0..count-1 or, `back`, for count-1..0, of
+ * any number of courses: u (courses, inputs, count), y (courses, outputs, count). The system is [D C; B A] over inputs
+ * and states, by columns in S (inputs + m, width) and as sparse rows, without which (NULL) width <= MOST_DENSE. Neither
+ * outputs + m nor the number of inputs is above MOST_WIDTH. */
 void tr_courses(size_t number, size_t count, int m, int inputs, int outputs, int width, const double *S,
                 const int *starts, const int *columns, const double *values, const double *u, double *y, int back)
 {
     const struct sparse rows = {starts, columns, values};
-    courses_of *const side_by_side = BEST_OF(courses);
-    for (size_t used = 0; number > 0; number -= used) {
-        u += used * (size_t)inputs * count, y += used * (size_t)outputs * count;
-        used = number < 3 ? 1 : number < LANES ? number : LANES;
-        if (used > 2) side_by_side(count, m, inputs, outputs, 0, &rows, u, y, NULL, back, used);
-        /* Sizes that are known when compiled keep the sums in registers, of a filter of second order all of them. */
-        else if (m == 2 && inputs == 1 && outputs == 1 && width == 4) outputs_of(count, 2, 1, 1, 4, S, u, y, back);
-        else switch (width) {
-        case 4: outputs_of(count, m, inputs, outputs, 4, S, u, y, back); break;
-        case 8: outputs_of(count, m, inputs, outputs, 8, S, u, y, back); break;
-        case 12: outputs_of(count, m, inputs, outputs, 12, S, u, y, back); break;
-        case 16: outputs_of(count, m, inputs, outputs, 16, S, u, y, back); break;
-        default: outputs_of(count, m, inputs, outputs, width, S, u, y, back);
-        }
-    }
+    any_courses(number, count, m, inputs, outputs, 0, width, S, &rows, u, y, NULL, back);
 }
 
 /* The largest |y| of every output along the same system, or of the sums of so many |y| one after the other, of any
  * number of courses: found (courses, outputs / terms), at most MOST_LARGEST of them; u (courses, inputs, count). The
  * state (courses, m) at first becomes that after all steps. The largest with a NaN is NaN. */
-void tr_largest(size_t number, size_t count, int m, int inputs, int outputs, int terms, const int *starts,
-                const int *columns, const double *values, const double *u, double *state, double *found)
+void tr_largest(size_t number, size_t count, int m, int inputs, int outputs, int terms, int width, const double *S,
+                const int *starts, const int *columns, const double *values, const double *u, double *state,
+                double *found)
 {
     const struct sparse rows = {starts, columns, values};
-    courses_of *const side_by_side = BEST_OF(courses);
-    for (size_t used = 0; number > 0; number -= used) {
-        u += used * (size_t)inputs * count, state += used * (size_t)m, found += used * (size_t)(outputs / terms);
-        used = number < LANES ? number : LANES;
-        side_by_side(count, m, inputs, outputs, terms, &rows, u, found, state, 0, used);
-    }
+    any_courses(number, count, m, inputs, outputs, terms, width, S, &rows, u, found, state, 0);
 }
 
 /* x_(k+1) = M x_k + b (gain_k + by_first x_k[0]) h_k for k = 0..count-1, from x_0 on: x (count + 1, m), M (m, m). */
