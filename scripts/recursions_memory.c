@@ -188,18 +188,25 @@ int main(void)
         cases++;
     }
     for (size_t c = 0; c < sizeof counts / sizeof *counts; c++) {
-        /* Steady heat over many steps warms as over one step of their length, from any temperature. */
+        /* Steady heat over many steps warms as over one step of their length, from any temperature; beside no number. */
         static const double heat[] = {0.03, 2.0, 0.4, -0.7, 6.0, 9.0};
+        enum { COILS = BESIDE + 1 };
         const size_t K = counts[c];
-        double *steps = doubles(K), *q = doubles(2 * K), *winding = doubles(2 * (K + 1)), *housing = doubles(2 * (K + 1));
-        double whole = 0.0, first[2] = {winding[K + 1], NAN}, second[2] = {housing[K + 1], NAN};
-        for (size_t k = 0; k < K; k++) whole += steps[k] = fabs(steps[k]), q[k] = NAN, q[K + k] = 3.0;
-        const double steady = 3.0;
-        tr_heated(2, K, heat, q, steps, winding, housing);
-        tr_heated(1, 1, heat, &steady, &whole, first, second);
+        double *steps = doubles(K), *q = doubles(COILS * K), whole = 0.0;
+        double *winding = doubles(COILS * (K + 1)), *housing = doubles(COILS * (K + 1));
+        double first[COILS][2], second[COILS][2];
+        for (size_t k = 0; k < K; k++) whole += steps[k] = fabs(steps[k]);
+        for (size_t k = 0; k < COILS * K; k++) q[k] = k < K ? NAN : 3.0;
+        for (size_t i = 0; i < COILS; i++) first[i][0] = winding[i * (K + 1)], second[i][0] = housing[i * (K + 1)];
+        const double steady[COILS] = {NAN, 3.0, 3.0, 3.0, 3.0};
+        tr_heated(COILS, K, heat, q, steps, winding, housing);
+        tr_heated(COILS, 1, heat, steady, &whole, first[0], second[0]);
         if (K > 1 && isfinite(winding[K])) return 1;
-        if (K && !(fabs(winding[2 * K + 1] - first[1]) <= 1e-12 * fabs(first[1]))) return 1;
-        if (K && !(fabs(housing[2 * K + 1] - second[1]) <= 1e-12 * fabs(second[1]))) return 1;
+        for (size_t i = 1; i < COILS && K; i++) {
+            const size_t last = i * (K + 1) + K;
+            if (!(fabs(winding[last] - first[i][1]) <= 1e-12 * fabs(first[i][1]))) return 1;
+            if (!(fabs(housing[last] - second[i][1]) <= 1e-12 * fabs(second[i][1]))) return 1;
+        }
         free(steps), free(q), free(winding), free(housing);
         cases++;
     }

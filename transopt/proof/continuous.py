@@ -229,6 +229,14 @@ class Period:
         return np.concatenate(parts).transpose(1, 2, 0)
 
     @cached_property
+    def lengths_s(self) -> FloatArray:
+        """(S,) lengths of the segments that begin before tau_N, in turn."""
+        grid, offsets_s = self.grid, [segment.offsets_s[0] for segment in self.segments]
+        starts_s = np.add.outer(grid.dt_s * np.arange(self.periods) - grid.lead_s, offsets_s).ravel()
+        playing = int(np.searchsorted(starts_s, grid.end_s - 1e-9 * grid.dt_s))
+        return np.diff(starts_s[: playing + 1])
+
+    @cached_property
     def bounds(self) -> tuple[int, int, int]:
         """Numbers of samples before tau_0, up to the one just after tau_(N-1), and up to tau_N."""
         grid, offsets_s = self.grid, np.concatenate([each.offsets_s for each in self.segments])

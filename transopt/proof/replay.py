@@ -223,14 +223,11 @@ def _peaks(
 
 
 def _temperatures(
-    course: Course, amplifier: Amplifier | None, coil: CoilModel, budgets: Sequence[Budget] | None, grid: TimeGrid
+    course: Course, amplifier: Amplifier | None, coil: CoilModel, budgets: Sequence[Budget] | None
 ) -> tuple[FloatArray, FloatArray]:
     """(M,) highest winding and housing temperature each, up to tau_N."""
-    period, (M, _, periods) = course.period, course.acting.shape
-    offsets = [segment.offsets_s[0] for segment in period.segments]
-    starts = np.add.outer(grid.dt_s * np.arange(periods) - grid.lead_s, offsets).ravel()
-    playing = int(np.searchsorted(starts, grid.end_s - 1e-9 * grid.dt_s))
-    lengths = np.diff(starts[: playing + 1])
+    period, M, lengths = course.period, len(course.acting), course.period.lengths_s
+    playing = lengths.size
     # One step per segment is exact, as the command is constant within it.
     whole = slice((playing + 1) // 2)
     before = course.inputs[:, :, 0, whole].swapaxes(1, 2).reshape(M, -1)[:, :playing]
@@ -295,7 +292,7 @@ def replay(
     plant_input = lone(at_switching[..., : grid.stages].copy())
     winding = housing = np.full(len(commands), np.nan)
     if coil is not None:
-        winding, housing = _temperatures(course, stage.amplifier, coil, budgets, grid)
+        winding, housing = _temperatures(course, stage.amplifier, coil, budgets)
     if any(limit.of_each_device for of_entry in limits for limit in of_entry):
         runs += [accurate(device, grid, commands, None) for device in spread]
         step_error = np.max([run.step_error for run in runs], axis=0)

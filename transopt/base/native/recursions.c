@@ -370,7 +370,7 @@ void tr_bilinear(size_t count, int m, const double *M, const double *b, const do
     }
 }
 
-enum { HEATED = 16 }; /* steps that are computed together, in vector registers */
+enum { HEATED = 16, BESIDE = 4 }; /* steps that are computed together, in vector registers, and courses in turns */
 
 /* Means of (|i| + ripple)^2 over steps in which i follows a held command through one pole, i = c + (i_0 - c) e^(-w t),
  * for courses (courses, count) of i_0 and c. Of a step of w times its length x, factors (4, count) are x, e^(-x),
@@ -453,6 +453,29 @@ WITH_AVX2 static void heat_maps_avx2(HEAT_ARGUMENTS) { heat_maps(used, heat, q, 
 WITH_AVX512 static void heat_maps_avx512(HEAT_ARGUMENTS) { heat_maps(used, heat, q, steps, map); }
 #endif
 
+/* So many courses of `tr_heated` in turns: the steps of one do not wait for those of the others. */
+ALWAYS_INLINE void heated_in(const size_t beside, heat_maps_of *maps, const size_t count, const double *heat,
+                             const double *q, const double *steps, double *winding, double *housing)
+{
+    double map[BESIDE][6][HEATED], rise[BESIDE] = {0}, rise_h[BESIDE] = {0};
+    for (size_t first = 0; first < count; first += HEATED) {
+        const size_t used = count - first < HEATED ? count - first : HEATED;
+        for (size_t c = 0; c < beside; c++) maps(used, heat, q + c * count + first, steps + first, map[c]);
+        for (size_t j = 0; j < used; j++)
+            for (size_t c = 0; c < beside; c++) {
+                double *warm = winding + c * (count + 1), *warm_h = housing + c * (count + 1);
+                const double p11 = map[c][0][j], p12 = map[c][1][j], p21 = map[c][2][j], p22 = map[c][3][j];
+                const double s1 = p11 * warm[0] + p12 * warm_h[0] + map[c][4][j];
+                const double s2 = p21 * warm[0] + p22 * warm_h[0] + map[c][5][j];
+                const double next = (1 + p11) * rise[c] + p12 * rise_h[c] + s1;
+                rise_h[c] = p21 * rise[c] + (1 + p22) * rise_h[c] + s2;
+                rise[c] = next;
+                warm[first + j + 1] = isfinite(next) ? warm[0] + next : INFINITY;
+                warm_h[first + j + 1] = isfinite(rise_h[c]) ? warm_h[0] + rise_h[c] : INFINITY;
+            }
+    }
+}
+
 /* Temperatures T of a coil's winding and housing, dT/dt = m T + c, exact for steps of constant heating q = i_eff^2:
  * m = (heat[0] q - heat[1], heat[1]; heat[2], heat[3]) and c = (heat[4] q, heat[5]). The eigenvalues of m are real.
  * A step is T+ = T + f (m T + c) with f the step times the mean growth (e^x - 1) / x of m, a function of a 2 x 2 matrix:
@@ -464,20 +487,11 @@ void tr_heated(size_t courses, size_t count, const double *heat, const double *q
                double *housing)
 {
     heat_maps_of *const maps = BEST_OF(heat_maps);
-    double map[6][HEATED];
-    for (; courses > 0; courses--, q += count, winding += count + 1, housing += count + 1) {
-        const double warm = winding[0], warm_h = housing[0];
-        double rise = 0, rise_h = 0;
-        for (size_t k = 0; k < count; k++) {
-            const size_t j = k % HEATED, left = count - k;
-            if (j == 0) maps(left < HEATED ? left : HEATED, heat, q + k, steps + k, map);
-            const double p11 = map[0][j], p12 = map[1][j], p21 = map[2][j], p22 = map[3][j];
-            const double next = (1 + p11) * rise + p12 * rise_h + (p11 * warm + p12 * warm_h + map[4][j]);
-            rise_h = p21 * rise + (1 + p22) * rise_h + (p21 * warm + p22 * warm_h + map[5][j]);
-            rise = next;
-            winding[k + 1] = isfinite(rise) ? warm + rise : INFINITY;
-            housing[k + 1] = isfinite(rise_h) ? warm_h + rise_h : INFINITY;
-        }
+    for (size_t used; courses > 0; courses -= used) {
+        used = courses < BESIDE ? 1 : BESIDE;
+        if (used == 1) heated_in(1, maps, count, heat, q, steps, winding, housing);
+        else heated_in(BESIDE, maps, count, heat, q, steps, winding, housing);
+        q += used * count, winding += used * (count + 1), housing += used * (count + 1);
     }
 }
 
