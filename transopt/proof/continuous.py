@@ -8,7 +8,7 @@ Runge-Kutta step is a linear map, the same in every period.
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -156,6 +156,7 @@ class Period:
     flow: Flow
     grid: TimeGrid
     segments: list[Segment]
+    _kept: dict[tuple[object, ...], LinearSystem] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def late(self) -> int:
@@ -248,10 +249,7 @@ class Period:
 
     @cached_property
     def parts(self) -> list[tuple[slice, list[tuple[int, slice]]]]:
-        """The periods in turn, in ranges whose samples are of the same of the four parts that `bounds` separate.
-
-        A range is one period or several, with each of its parts and that part's samples of a period.
-        """
+        """Ranges of like periods, in turn, with each part (see `bounds`) and its samples of such a period."""
         K, found = self.to_samples.shape[2], []
         cuts = {0, self.periods, *(min(cut, self.periods) for at in self.bounds for cut in (at // K, -(-at // K)))}
         for first, last in itertools.pairwise(sorted(cuts)):
@@ -274,26 +272,18 @@ class Period:
         return found
 
     def sampled(self, rows: FloatArray, offset: Sequence[int] = ()) -> LinearSystem:
-        """`_sampled`, of which the latest are kept: taps of one scene bound the same rows."""
-        key = rows.tobytes(), *offset
-        if (found := self._kept.get(key)) is None:
-            if len(self._kept) >= MOST_KEPT:
-                self._kept.clear()
-            found = self._kept[key] = self._sampled(rows, offset)
-        return found
-
-    @cached_property
-    def _kept(self) -> dict[tuple[object, ...], LinearSystem]:
-        return {}
-
-    def _sampled(self, rows: FloatArray, offset: Sequence[int]) -> LinearSystem:
         """From the commands that act, and offsets by `at_knots`, to values at the K samples of a period, r K outputs.
+
+        The latest are kept, as the taps of a scene bound the same rows.
 
         Parameters
         ----------
         rows : (r, R + m) weights of the rows of the flow and of the commands that act.
         offset : rows to whose values an offset is added, in the order in which their offsets follow the commands.
         """
+        key = rows.tobytes(), *offset
+        if (found := self._kept.get(key)) is not None:
+            return found
         n, K, acting = self.flow.A.shape[0], self.to_samples.shape[2], self._acting.shape[1]
         values = np.tensordot(rows, self.to_samples, 1).swapaxes(1, 2)
         direct = np.zeros((len(rows), K, acting + 3 * len(offset)))
@@ -303,7 +293,10 @@ class Period:
             direct[row, :, at : at + 3] = self._hats
         A, B = self.step
         by_inputs = np.hstack([B, np.zeros((n, direct.shape[-1] - acting))])
-        return LinearSystem(A, by_inputs, values[..., :n].reshape(-1, n), direct.reshape(len(rows) * K, -1))
+        if len(self._kept) >= MOST_KEPT:
+            self._kept.clear()
+        found = LinearSystem(A, by_inputs, values[..., :n].reshape(-1, n), direct.reshape(len(rows) * K, -1))
+        return self._kept.setdefault(key, found)
 
     @property
     def _hats(self) -> FloatArray:
