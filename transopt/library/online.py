@@ -220,7 +220,7 @@ class Online:
         coil, remark = _heated(self._coil, limits.get("temperature_C"), winding_C, housing_C)
         if place.silent and not remark:
             remark = "nothing to play: too little grip or speed"
-        with self._lock:
+        with self._lock, one_blas_thread():
             wave, proof, remark = self._answered(posing, place, coil, limits, remark)
         return OnlineTap(wave, proof, remark, time.perf_counter() - start)
 
@@ -233,8 +233,7 @@ class Online:
             if (known := standing.solved(plant, place, coil)) is not None:
                 command, certificate = known
                 return Waveform(**vars(place), command=command, transient_command=command), certificate, ""
-        with one_blas_thread():
-            return self._in_general(posing, place, coil, limits, remark)
+        return self._in_general(posing, place, coil, limits, remark)
 
     def _standing(self, posing: Posing, limits: Mapping[str, float]) -> StandingTap | None:
         """The taps under these limits as a standing problem; None if they are not of that kind."""
@@ -242,9 +241,8 @@ class Online:
         if key not in self._found_standing:
             if len(self._found_standing) >= STANDING:
                 del self._found_standing[next(iter(self._found_standing))]
-            with one_blas_thread():
-                problem = self._posed(posing, *self._hardest, self._coil)
-                made = StandingTap.of(self._library, posing, problem, TOLERANCE, MOST_ITERATIONS)
+            problem = self._posed(posing, *self._hardest, self._coil)
+            made = StandingTap.of(self._library, posing, problem, TOLERANCE, MOST_ITERATIONS)
             self._found_standing[key] = made
         return self._found_standing[key]
 
