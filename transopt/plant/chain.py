@@ -37,9 +37,10 @@ def chain(
     """Assemble a chain of masses; link j joins mass j and mass j + 1, link n joins mass n and the ground.
 
     The ground is the motion that the hand intends; all displacements are relative to it. States: the n elongations
-    e_j = z_j - z_(j+1) (e_n = z_n), then the n velocities. Elongations instead of positions keep a stiff transmission
-    well conditioned; the encoder position is a sum of elongations. With n - 1 links the chain is free, and the last
-    elongation is the position of the last mass, on which nothing depends.
+    e_j = z_j - z_(j+1) (e_n = z_n), then their n rates de_j/dt. The position and the velocity of a mass are sums of
+    them. Positions and velocities as states would lose the digits of a stiff link: its force is a large number times
+    the small difference of two nearly equal motions. With n - 1 links the chain is free, and the last elongation is
+    the position of the last mass, on which nothing depends.
 
     Parameters
     ----------
@@ -73,14 +74,15 @@ def chain(
     stiffness = np.array([link.stiffness_N_m for link in links])
     damping = np.array([link.damping_N_s_m for link in links])
 
-    A = np.zeros((2 * n, 2 * n))
-    A[:n, n:] = difference
-    A[n:, : len(links)] = -inverse_mass[:, None] * joined.T * stiffness
-    A[n:, n:] = -inverse_mass[:, None] * (joined.T * damping @ joined)
-    B = np.zeros((2 * n, 1))
-    B[n + driven, 0] = force_per_current_N_A * inverse_mass[driven]
-    row = slice(n + stylus, n + stylus + 1)
-    return StateSpace(A, B, A[row].copy(), B[row].copy(), {**_outputs(n, tuple(names)), **further})
+    # Accelerations of the masses, by the states and by the current.
+    by_state, by_current = np.zeros((n, 2 * n)), np.zeros((n, 1))
+    by_state[:, : len(links)] = -inverse_mass[:, None] * joined.T * stiffness
+    by_state[:, n : n + len(links)] = -inverse_mass[:, None] * joined.T * damping
+    by_current[driven] = force_per_current_N_A * inverse_mass[driven]
+    A = np.concatenate([np.eye(n, 2 * n, n), difference @ by_state])
+    B = np.concatenate([np.zeros((n, 1)), difference @ by_current])
+    row = slice(stylus, stylus + 1)
+    return StateSpace(A, B, by_state[row], by_current[row], {**_outputs(n, tuple(names)), **further})
 
 
 @lru_cache(maxsize=16)
@@ -97,7 +99,7 @@ def _outputs(n: int, names: tuple[str, ...]) -> Mapping[str, Output]:
     outputs: dict[str, Output] = {}
     for mass, name in ((0, ""), *enumerate(names)):
         position, velocity = np.zeros((1, 2 * n)), np.zeros((1, 2 * n))
-        position[0, mass:n], velocity[0, n + mass] = 1.0, 1.0
+        position[0, mass:n] = velocity[0, n + mass :] = 1.0
         position.flags.writeable = velocity.flags.writeable = False
         outputs[f"{name} {POSITION}".strip()] = Output(position, "m", POSITION)
         outputs[f"{name} {VELOCITY}".strip()] = Output(velocity, "m/s", VELOCITY)

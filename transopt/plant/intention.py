@@ -148,15 +148,16 @@ class Path:
 class FreeMotion:
     """The acceleration a_free of the stylus in one hand without current, for 1 m/s of incoming speed.
 
-    In the frame of the intended motion inertial forces act on every mass of a chain, so its states x, elongations and
-    then velocities, obey dx/dt = A x - [0, 1] u'', and the stylus accelerates with C x. A device that is no chain of
-    known masses is assumed to follow the intended motion with a time constant of 2.5 ms.
+    In the frame of the intended motion inertial forces accelerate every mass of a chain by -u''. Of its states x,
+    elongations and then their rates, only the last, the rate of the link to the ground, feels them:
+    dx/dt = A x - b u'' with b a unit vector, and the stylus accelerates with C x. A device that is no chain of known
+    masses is assumed to follow the intended motion with a time constant of 2.5 ms.
 
     Parameters
     ----------
     intention : intended motion of the hand.
-    chain : the device in the hand with states elongations, then velocities; its input is not used. None if the device
-        is no chain.
+    chain : the device in the hand with states elongations, then their rates; its input is not used. None if the
+        device is no chain.
     is_held : whether a hand holds the stylus; a free one continues at its speed.
     """
 
@@ -169,8 +170,7 @@ class FreeMotion:
         """A, the input column of u'', and the row of the stylus' acceleration."""
         if self._chain is None:
             return np.array([[-1 / FOLLOWS_S]]), np.array([-1.0]), np.array([-1 / FOLLOWS_S])
-        n = self._chain.order
-        return self._chain.A, np.append(np.zeros(n // 2), -np.ones(n - n // 2)), self._chain.C[0]
+        return self._chain.A, -np.eye(self._chain.order)[-1], self._chain.C[0]
 
     def yielding_m_s2(self, times_s: FloatArray) -> FloatArray:
         """(K,) acceleration due to the hand's yielding at evenly spaced times, for 1 m/s."""
@@ -195,7 +195,7 @@ class FreeMotion:
     def _carried(self, times_s: FloatArray) -> FloatArray:
         """(K,) acceleration of the stylus if the hand accelerates with 1 m/s^2 until its intention ends.
 
-        Until then the masses lag behind the hand by their inertia, x = A^-1 [0, 1]; afterwards dx/dt = A x. Without a
+        Until then the masses lag behind the hand by their inertia, x = A^-1 b; afterwards dx/dt = A x. Without a
         spring in the hand there is no such static lag (A is singular); the stylus then follows as for no chain.
         """
         A, b, row = self._plant

@@ -27,7 +27,7 @@ class PlantKind(Section):
     driven_at_tip : whether the scene states its drive separately, by motor and transmission or by a tip; a kind that
         is a complete actuator includes its drive.
     held_by_hand : whether it depends on the grip; otherwise its only grip is 0.
-    is_chain : whether its states are the elongations of a chain of masses, then their velocities.
+    is_chain : whether its states are the elongations of a chain of masses, then their rates.
     """
 
     through_transmission: ClassVar[bool] = False

@@ -69,7 +69,7 @@ class IdentifiedModel(ModelParts):
 
     @property
     def is_chain(self) -> bool:
-        """Whether its states are the elongations of a chain of masses, then their velocities."""
+        """Whether its states are the elongations of a chain of masses, then their rates."""
         return not isinstance(self.moving, StateSpaceDevice)
 
     def tip(self) -> Tip | None:

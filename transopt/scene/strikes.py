@@ -110,7 +110,7 @@ def strike(
     Parameters
     ----------
     plant : model from force on the stylus [N] to stylus acceleration; a chain with states elongations, then
-        velocities.
+        their rates.
     target : the object.
     speeds_m_s : (V,) incoming speeds.
     duration_s : simulated time after contact.
@@ -122,16 +122,17 @@ def strike(
     times_s (K,), acceleration_m_s2 (V, K), encoder_position_m (V, K).
     """
     n, masses = plant.order, plant.order // 2
-    stylus = int(np.flatnonzero(plant.B[masses:, 0])[0])
-    position_of_stylus = np.zeros(n)
-    position_of_stylus[stylus:masses] = 1.0
+    # The position of a mass is the sum of the elongations from it to the ground, its velocity that of their rates.
+    stylus = int(np.flatnonzero(plant.B[masses:, 0])[-1])
+    beyond = np.zeros(n)
+    beyond[stylus:masses] = 1.0
     # States after those of the chain: position and velocity of the object, v t, v, and v u with its derivative.
     thing, way = slice(n, n + 2), slice(n + 2, n + 4)
 
     # Indentation and its rate: z of the stylus is its deviation from the intended motion v u - v t.
     contact = np.zeros((2, n + 6))
-    contact[0, :n], contact[0, n], contact[0, n + 2], contact[0, n + 4] = -position_of_stylus, 1.0, 1.0, -1.0
-    contact[1, masses + stylus], contact[1, n + 1], contact[1, n + 3], contact[1, n + 5] = -1.0, 1.0, 1.0, -1.0
+    contact[0, :n], contact[0, n], contact[0, n + 2], contact[0, n + 4] = -beyond, 1.0, 1.0, -1.0
+    contact[1, :n], contact[1, n + 1], contact[1, n + 3], contact[1, n + 5] = -np.roll(beyond, masses), 1.0, 1.0, -1.0
     state = np.zeros((n + 6, speeds_m_s.size))
     state[n + 3] = speeds_m_s
     steps = int(np.ceil(duration_s / step_s))
@@ -152,9 +153,9 @@ def strike(
         flow[way, way] = [[0.0, 1.0], [0.0, 0.0]]
         flow[n + 4, n + 5] = 1.0
         flow[n + 5, [n + 3, n + 5]] = phase.rate_1_s, -phase.decay_1_s
-        flow[masses:n] -= flow[n + 5]
+        flow[n - 1] -= flow[n + 5]  # the rate of the link to the ground
         state[n + 5] += phase.jump * speeds_m_s
-        state[masses:n] -= phase.jump * speeds_m_s
+        state[n - 1] -= phase.jump * speeds_m_s
         along = found[first : min(last, steps) + 1]  # the next phase begins at its last instant
         state = _driven(flow, push, contact, outputs, target, state, step_s, along)
     acceleration, encoder = found.transpose(1, 2, 0)

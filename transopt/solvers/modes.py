@@ -8,7 +8,7 @@ from transopt.base.signals import ComplexArray, FloatArray
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import Layout, LinearStage, layout
 
-# Largest condition number of T for which modal coordinates are used. The built-in scenes have at most 33; a wall's
+# Largest condition number of T for which modal coordinates are used. The built-in scenes have at most 87; a wall's
 # delay line is not diagonalisable. The compiled certificate uses the same coordinates, so it does not see the
 # rounding of the transformation, which grows with the square of the condition: at 8e3 a gap reported as 1e-8 of J was
 # in truth 6e-4, at 4e2 all agree to 1e-6.

@@ -81,7 +81,7 @@ class StageSymbols:
         return self._output(name)
 
     def state(self, number: int) -> ca.SX:
-        """State `number`, from 1, of the plant: of a chain first its elongations, then its velocities."""
+        """State `number`, from 1, of the plant: of a chain first its elongations, then their rates."""
         return self._output(f"state {number}")
 
     def state_after(self, number: int) -> ca.SX:

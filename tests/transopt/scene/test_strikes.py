@@ -45,11 +45,11 @@ def test_they_obey_the_laws_of_motion(scene: Scene) -> None:
     target, (times, acceleration, _) = struck(scene)
     plant = scene.plant(3.0, struck=True)
     n, masses = plant.order, plant.order // 2
-    stylus = int(np.flatnonzero(plant.B[masses:, 0])[0])
+    stylus = int(np.flatnonzero(plant.B[masses:, 0])[-1])
 
     def force(state: FloatArray, t: float, speed_m_s: float) -> FloatArray:
         # The state's elongations up to the stylus add up to its deviation from the motion that the hand means.
-        deviation, rate = state[stylus:masses].sum(), state[masses + stylus]
+        deviation, rate = state[stylus:masses].sum(), state[masses + stylus : n].sum()
         depth = state[n] + speed_m_s * t - deviation
         return contact_force(target, depth, state[n + 1] + speed_m_s - rate)
 

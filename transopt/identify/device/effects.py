@@ -354,9 +354,9 @@ def _shape(name: str, device: DriveChain, instrument: Instrument, run: Measureme
     values = _from_rest(current.values)
     n = plant.order // 2
     masses = np.concatenate([device.shared[:2], device.hand_at(run.grip_N)[:1]])[:n]
-    velocities, stretches = np.eye(plant.order)[n : n + n], np.eye(plant.order)[:n]
+    stretches = np.eye(plant.order)[:n]
     if name == "friction":
-        motion = _through(plant, plant.B[:, 0], velocities[0], 0.0, current.dt_s, values)
+        motion = _through(plant, plant.B[:, 0], plant.Cv[0], 0.0, current.dt_s, values)
         forces = {0: -np.tanh(motion / (SLOW * np.abs(motion).max(initial=1e-12)))}
     elif name == "backlash":
         stretch = _through(plant, plant.B[:, 0], stretches[0], 0.0, current.dt_s, values)
@@ -370,8 +370,10 @@ def _shape(name: str, device: DriveChain, instrument: Instrument, run: Measureme
         forces = {1: -part, 2: part}
     total = np.zeros(values.size)
     for mass, force in forces.items():
-        given = np.zeros(plant.order)
+        given = np.zeros(plant.order)  # the rates of the links that the mass joins
         given[n + mass] = 1 / masses[mass]
+        if mass:
+            given[n + mass - 1] = -1 / masses[mass]
         total += _through(plant, given, plant.C[0], 1 / masses[1] if mass == 1 else 0.0, current.dt_s, force)
     return _passed(current.start_s, current.dt_s, total)
 

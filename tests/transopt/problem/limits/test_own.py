@@ -43,7 +43,7 @@ def test_a_linear_one_is_recognised_and_solved_by_the_compiled_method(tmp_path: 
     assert [price.limit for price in entry.prices].count("joint_force") == 1
     problem, command = entry.problem, entry.solution.command
     # A dense solve finds the same, with the states from the plant's own matrices.
-    force = dense.states(problem) @ np.array([6e4, 0, 0, 8, -8, 0, 0])
+    force = dense.states(problem) @ np.array([6e4, 0, 0, 8, 0, 0, 0])
     _, J = dense.optimum(problem, force[:-1], np.full(150, -3.0), np.full(150, 3.0))
     assert entry.certificate.objective == pytest.approx(J, abs=1e-6 * max(J, OBJECTIVE_SCALE))
     assert np.abs(force[:-1] @ command).max() <= 3.0 + 1e-6
