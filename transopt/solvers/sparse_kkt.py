@@ -20,7 +20,8 @@ from transopt.solvers.stated_rows import stated_rows
 from transopt.solvers.statement import state
 
 REFINEMENTS = 2
-GAP = 1e-7  # gap relative to max(J, 1e-3), a tenth of the tolerated one, below which an answer needs no (further) damping
+# Gap relative to max(J, 1e-3), a tenth of the tolerated one, below which an answer needs no (further) damping.
+GAP = 1e-7
 # Damping on each movement, relative to the largest weight. If the system is singular, some movements of the command
 # do not change J, and damping selects one of the equivalent optima.
 DAMPINGS = (0.0, 1e-12, 1e-9, 1e-6, 1e-3)
