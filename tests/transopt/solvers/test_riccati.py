@@ -326,9 +326,12 @@ class TestSideBySide:
 
     @pytest.mark.parametrize("name", SCENES)
     def test_the_answers_are_those_of_each_alone(self, hardest: Callable[[str], TransientProblem], name: str) -> None:
-        """Harder and easier problems: those that end first wait for the others."""
+        """Harder and easier problems: those that end first wait for the others.
+
+        None ends at the edge of the tolerance, where the last bits of a limit decide on two steps more.
+        """
         whole = hardest(name).without("temperature")
-        limits = whole.limits.input_limit * np.linspace(1.0, 0.7, self.BESIDE)
+        limits = whole.limits.input_limit * np.linspace(1.0, 0.72, self.BESIDE)
         given = [stages(with_numbers(whole, current_A=limit)) for limit in limits]
         beside = self.solved(given)
         for each, found in zip(given, beside, strict=True):
@@ -337,8 +340,7 @@ class TestSideBySide:
             assert found.objective == pytest.approx(own.objective, rel=1e-9)
             if found.iterations == own.iterations:  # rounding may put one below the tolerance a step earlier
                 np.testing.assert_allclose(found.command, own.command, rtol=0, atol=1e-8 * np.abs(own.command).max())
-            # At the edge of the tolerance the last bits of a limit move the end by two steps.
-            assert abs(found.iterations - own.iterations) <= 2
+            assert abs(found.iterations - own.iterations) <= 1
 
     def test_no_answer_depends_on_the_problems_beside_it(self, make_problem: ProblemMaker) -> None:
         """Not by a bit: on none that ends at once, breaks down, or is met by no command."""
