@@ -46,8 +46,14 @@ enum { ABREAST = sizeof(wide) / sizeof(double) };
     (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq")                                         \
          ? name##_avx512                                                                                             \
          : __builtin_cpu_supports("avx2") ? name##_avx2 : name##_anywhere)
+#define BUILDS_OF(name, ARGUMENTS, GIVEN)                        \
+    static void name##_anywhere(ARGUMENTS) { name GIVEN; }       \
+    WITH_AVX2 static void name##_avx2(ARGUMENTS) { name GIVEN; } \
+    WITH_AVX512 static void name##_avx512(ARGUMENTS) { name GIVEN; }
 #else
 #define BEST_OF(name) name##_anywhere
+#define BUILDS_OF(name, ARGUMENTS, GIVEN) \
+    static void name##_anywhere(ARGUMENTS) { name GIVEN; }
 #endif
 
 /* to = to + M' from, M (m, width): its rows are worked on side by side. */
@@ -207,22 +213,7 @@ ALWAYS_INLINE void course(COURSE_ARGUMENTS)
     if (terms) memcpy(y, most, (size_t)kept * sizeof *y);
 }
 
-static void course_anywhere(COURSE_ARGUMENTS)
-{
-    course(count, m, inputs, outputs, terms, width, S, u, y, state, back);
-}
-
-#if defined(WITH_AVX2)
-WITH_AVX2 static void course_avx2(COURSE_ARGUMENTS)
-{
-    course(count, m, inputs, outputs, terms, width, S, u, y, state, back);
-}
-
-WITH_AVX512 static void course_avx512(COURSE_ARGUMENTS)
-{
-    course(count, m, inputs, outputs, terms, width, S, u, y, state, back);
-}
-#endif
+BUILDS_OF(course, COURSE_ARGUMENTS, (count, m, inputs, outputs, terms, width, S, u, y, state, back))
 
 #define COURSES_ARGUMENTS                                                                                            \
     const size_t count, const int m, const int inputs, const int outputs, const int terms, const struct sparse *rows, \
@@ -297,22 +288,7 @@ ALWAYS_INLINE void courses(COURSES_ARGUMENTS)
     }
 }
 
-static void courses_anywhere(COURSES_ARGUMENTS)
-{
-    courses(count, m, inputs, outputs, terms, rows, u, y, state, back, used);
-}
-
-#if defined(WITH_AVX2)
-WITH_AVX2 static void courses_avx2(COURSES_ARGUMENTS)
-{
-    courses(count, m, inputs, outputs, terms, rows, u, y, state, back, used);
-}
-
-WITH_AVX512 static void courses_avx512(COURSES_ARGUMENTS)
-{
-    courses(count, m, inputs, outputs, terms, rows, u, y, state, back, used);
-}
-#endif
+BUILDS_OF(courses, COURSES_ARGUMENTS, (count, m, inputs, outputs, terms, rows, u, y, state, back, used))
 
 /* Of any number of courses, a few one by one and more of them side by side. */
 ALWAYS_INLINE void any_courses(size_t number, const size_t count, const int m, const int inputs, const int outputs,
@@ -445,13 +421,7 @@ ALWAYS_INLINE void heat_maps(const size_t used, const double *heat, const double
 #define HEAT_ARGUMENTS const size_t used, const double *heat, const double *q, const double *steps, double (*map)[HEATED]
 typedef void heat_maps_of(HEAT_ARGUMENTS);
 
-static void heat_maps_anywhere(HEAT_ARGUMENTS) { heat_maps(used, heat, q, steps, map); }
-
-#if defined(WITH_AVX2)
-WITH_AVX2 static void heat_maps_avx2(HEAT_ARGUMENTS) { heat_maps(used, heat, q, steps, map); }
-
-WITH_AVX512 static void heat_maps_avx512(HEAT_ARGUMENTS) { heat_maps(used, heat, q, steps, map); }
-#endif
+BUILDS_OF(heat_maps, HEAT_ARGUMENTS, (used, heat, q, steps, map))
 
 /* So many courses of `tr_heated` in turns: the steps of one do not wait for those of the others. */
 ALWAYS_INLINE void heated_in(const size_t beside, heat_maps_of *maps, const size_t count, const double *heat,
@@ -653,22 +623,7 @@ ALWAYS_INLINE void strike(STRIKE_ARGUMENTS)
     }
 }
 
-static void strike_anywhere(STRIKE_ARGUMENTS)
-{
-    strike(steps, n, outputs, columns, rows, contact, z, found, used);
-}
-
-#if defined(WITH_AVX2)
-WITH_AVX2 static void strike_avx2(STRIKE_ARGUMENTS)
-{
-    strike(steps, n, outputs, columns, rows, contact, z, found, used);
-}
-
-WITH_AVX512 static void strike_avx512(STRIKE_ARGUMENTS)
-{
-    strike(steps, n, outputs, columns, rows, contact, z, found, used);
-}
-#endif
+BUILDS_OF(strike, STRIKE_ARGUMENTS, (steps, n, outputs, columns, rows, contact, z, found, used))
 
 /* A linear system of n states x and a contact's force on it by the Runge-Kutta method of fourth order. Its rows,
  * (8 + outputs + n, n + 4), are sums over x and the forces F_0 to F_3 of the four stages: depth and closing speed at
