@@ -27,6 +27,7 @@ from tests.benches.limits import numbers_of, with_limit
 from tests.benches.model_parts import Make, scene_on
 from tests.benches.quick_part import without_slow_part
 from tests.benches.servo import WALL, Bench
+from transopt.base import recursions
 from transopt.design.build import Build, build_library
 from transopt.design.context import Context
 from transopt.library.library import Library
@@ -82,6 +83,15 @@ def is_stationary(problem: TransientProblem, answer: Solution) -> bool:
     """Whether an answer is certified, but for the global bound where the temperature binds."""
     proof = certify(problem, answer.command, answer.multipliers)
     return answer.status is Status.OPTIMAL and proof.is_stationary
+
+
+@pytest.fixture(params=["compiled", "banded"])
+def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both ways of computing a recursion: by the extension, and without it by banded substitution."""
+    if request.param == "banded":
+        monkeypatch.setattr(recursions, "COMPILED", None)
+    elif recursions.COMPILED is None:
+        pytest.skip("the extension is not built")
 
 
 @pytest.fixture(scope="session")

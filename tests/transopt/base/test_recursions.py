@@ -5,7 +5,6 @@ import pytest
 from scipy import signal
 from scipy.interpolate import CubicSpline
 
-from transopt.base import recursions
 from transopt.base.recursions import (
     CHUNK,
     MOST_DENSE,
@@ -22,13 +21,7 @@ from transopt.base.recursions import (
     spline_even,
 )
 
-
-@pytest.fixture(params=["compiled", "banded"], autouse=True)
-def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    if request.param == "banded":
-        monkeypatch.setattr(recursions, "COMPILED", None)
-    elif recursions.COMPILED is None:
-        pytest.skip("the extension is not built")
+pytestmark = pytest.mark.usefixtures("way")
 
 
 @pytest.mark.parametrize("m", [1, 2, 4, 5, 6, 7, 8, 9, MOST_STATES + 1])

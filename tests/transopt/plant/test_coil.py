@@ -12,14 +12,6 @@ from transopt.plant.coil import CoilModel, effective_square, following_square_me
 from transopt.scene.scene import Scene
 
 
-@pytest.fixture(params=["compiled", "banded"])
-def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    if request.param == "banded":
-        monkeypatch.setattr(recursions, "COMPILED", None)
-    elif recursions.COMPILED is None:
-        pytest.skip("the extension is not built")
-
-
 @pytest.fixture
 def coil(scene: Scene) -> CoilModel:
     model = scene.coil()

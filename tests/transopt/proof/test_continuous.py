@@ -6,16 +6,9 @@ import numpy as np
 import pytest
 
 from tests.conftest import ProblemMaker
-from transopt.base import recursions
 from transopt.proof.continuous import MOST_KEPT, accurate
 
-
-@pytest.fixture(params=["compiled", "banded"], autouse=True)
-def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    if request.param == "banded":
-        monkeypatch.setattr(recursions, "COMPILED", None)
-    elif recursions.COMPILED is None:
-        pytest.skip("the extension is not built")
+pytestmark = pytest.mark.usefixtures("way")
 
 
 @pytest.mark.parametrize("late_ticks", [0.0, 0.3, 2.0, 2.6])
