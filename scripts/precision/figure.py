@@ -26,7 +26,8 @@ TINY_PT = 6.5
 SMALL_DPI = 120
 EXACT = "exact hold"  # what every solver's curve has anyway
 NAME_HEIGHT = 6.0  # what a name takes up on the logarithmic axis, as a factor
-# Offsets of a point's name from the point, in points; the first one that covers no other name and no point is taken.
+# Offsets of a point's name from the point, in points; the first one that covers no other name, no point and
+# not the axis is taken.
 NAME_PLACES_PT = (
     *((6, 0), (6, 3), (6, -4), (-6, 0), (-6, 3), (-6, -4), (6, 8), (6, -8), (-6, 8), (-6, -8)),
     *((6, 13), (6, -13), (-6, 13), (-6, -13), (6, 18), (6, -18), (-6, 18), (-6, -18)),
@@ -107,7 +108,9 @@ def _points(axes: Axes, rows: Sequence[Row], value: str, floor: float) -> list[A
 
 
 def _move_apart(names: Sequence[Annotation]) -> None:
-    """Place the names of one panel, in a figure that is laid out, so that none covers another or a named point."""
+    """Place the names of one panel, in a figure that is laid out, so that none covers another, a named point or the
+    axis on the left.
+    """
     taken = list[BboxBase]()
     for name in names:
         x, y = name.axes.transData.transform(name.xy)
@@ -118,7 +121,7 @@ def _move_apart(names: Sequence[Annotation]) -> None:
             name.xyann = place
             name.set_horizontalalignment("left" if place[0] > 0 else "right")
             box = name.get_window_extent()
-            if not any(box.overlaps(other) for other in taken):
+            if box.x0 > name.axes.bbox.x0 and not any(box.overlaps(other) for other in taken):
                 break
         taken.append(box)
 
@@ -127,7 +130,7 @@ def _style(axes: Axes, floor: float, top: float, fastest_ms: float) -> None:
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_ylim(floor / 3, top)
-    axes.set_xlim(0.8 * fastest_ms, 2e3 * TIME_LIMIT_S)
+    axes.set_xlim(0.2 * fastest_ms, 2e3 * TIME_LIMIT_S)  # room for a name on the left of the fastest point
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.yaxis.set_major_locator(LogLocator(base=100, numticks=20))
