@@ -29,7 +29,7 @@ from transopt.base.writing import table
 from transopt.study.axes import parse_axis
 from transopt.study.executors import executor_pool
 from transopt.study.plan import Plan
-from transopt.study.rows import OPTIMAL, Row
+from transopt.study.rows import Row, is_admitted
 from transopt.study.session import run_plan
 
 SPEEDS, GRIPS, CURRENTS_A = 10, 10, (1.2, 2.0)
@@ -165,7 +165,7 @@ def main(
             found["dask, 2 workers that run already"] = solved(short, address)
     rows += [row(name, one) for name, one in found.items()]
     same = all(alike(one.rows, found["one process"].rows) for one in found.values())
-    certified = all(line["status"] == OPTIMAL for one in found.values() for line in one.rows)
+    certified = all(is_admitted(line) for one in found.values() for line in one.rows)
     head = (
         "way",
         "entries",

@@ -38,8 +38,6 @@ from transopt.solvers.side_by_side import alone
 if TYPE_CHECKING:  # nothing is drawn while a library is solved
     from matplotlib.figure import Figure
 
-ADMITTED = (Status.OPTIMAL, Status.STATIONARY)
-
 
 @dataclass(frozen=True)
 class SpreadErrors:
@@ -169,7 +167,7 @@ class Entry(Answered):
     @property
     def admitted(self) -> bool:
         """Whether the entry may be part of a library."""
-        return self.status in ADMITTED
+        return self.status.admitted
 
     @cached_property
     def prices(self) -> list[Price]:

@@ -42,6 +42,11 @@ class Status(Enum):
         "a limit holds at every switching instant, where the problem states it, but is exceeded between two of them"
     )
 
+    @property
+    def admitted(self) -> bool:
+        """Whether a library may have the entry: its optimum is proven, or on a nonlinear plant its stationarity."""
+        return self in (Status.OPTIMAL, Status.STATIONARY)
+
 
 Pair = tuple[FloatArray, FloatArray]
 

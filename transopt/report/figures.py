@@ -32,7 +32,6 @@ from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.base.writing import percent
 from transopt.library.library import Library
 from transopt.plant.state_space import StateSpace
-from transopt.problem.answer import Status
 from transopt.problem.limits.supply import SupplyLimit
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.bands import JUST_NOTICED_dB
@@ -110,7 +109,7 @@ def _methods(build: "Build") -> list[_Method]:
 
 
 def _refused(entry: "Entry") -> list[str]:
-    return [] if entry.status is Status.OPTIMAL else ["refused"]
+    return [] if entry.admitted else ["refused"]
 
 
 def _label_entries(axes: Axes, build: "Build", optimum_percent: FloatArray) -> None:

@@ -8,7 +8,6 @@ import numpy as np
 from transopt.base.writing import percent, table
 from transopt.design.build import Build
 from transopt.design.entry import Entry
-from transopt.problem.answer import Status
 from transopt.scene.fitted import FittedPart
 from transopt.scene.identified import IdentifiedModel
 from transopt.scene.model_parts import MODEL_PARTS, DriveDevice, FourthOrderHand
@@ -75,14 +74,13 @@ def model_errors(build: Build) -> list[tuple[Entry, float]]:
     if not isinstance(model, IdentifiedModel):
         return []
     found, force = [], None if model.device is not None else build.scene.drive_at_tip().force_per_current_N_A
-    for entry in build.all_entries():
-        if entry.status is Status.OPTIMAL:
-            energy = float(np.sum(entry.predicted_m_s2**2))
-            error = model.error_of(
-                entry.grip_N, entry.plant_input, entry.problem.grid.dt_s, energy, force_per_current_N_A=force
-            )
-            if np.isfinite(error):
-                found.append((entry, error))
+    for entry in build.proven:
+        energy = float(np.sum(entry.predicted_m_s2**2))
+        error = model.error_of(
+            entry.grip_N, entry.plant_input, entry.problem.grid.dt_s, energy, force_per_current_N_A=force
+        )
+        if np.isfinite(error):
+            found.append((entry, error))
     return found
 
 

@@ -13,7 +13,6 @@ from transopt.design.build import Build
 from transopt.design.entry import Entry
 from transopt.library.columns import EntryTable, TableRow
 from transopt.library.posed import NONLINEAR_CLAIM
-from transopt.problem.answer import Status
 from transopt.report.write import publish
 
 REPORT, FIGURES, COMMANDS, DRAWN = "nonlinear.md", "nonlinear.json", "nonlinear.csv", "nonlinear.png"
@@ -114,7 +113,7 @@ def _figures(entry: Entry) -> dict[str, Any]:
 
 def refusals(entry: Entry) -> list[str]:
     """Why an entry is not proven, one sentence each; empty if it is proven."""
-    return [] if entry.status is Status.STATIONARY else entry.shortfalls or [entry.status.value]
+    return [] if entry.admitted else entry.shortfalls or [entry.status.value]
 
 
 def nonlinear_table(design: Build) -> EntryTable:

@@ -14,7 +14,6 @@ from transopt.design.entry import Entry
 from transopt.design.refine_grid import Refinement
 from transopt.library.columns import COLUMNS, FIGURES, OF_DIRECTIONS, EntryTable, TableRow
 from transopt.library.library import Library
-from transopt.problem.answer import Status
 from transopt.scene.plausible import implausible
 from transopt.scene.scene import Scene
 from transopt.scene.sections import covering_lead_s
@@ -87,7 +86,7 @@ def certificate_table(source: Build | Library, title: str) -> Table:
 def summary(build: Build) -> str:
     """One line: error, certificate, time per entry, total time."""
     entries = list(build.all_entries())
-    admitted = [entry for entry in entries if entry.status is Status.OPTIMAL]
+    admitted = build.proven
     sentences = []
     if build.refused:
         sentences.append(
@@ -119,7 +118,7 @@ def aftermath(build: Build) -> str:
     def after_m_s2(entry: Entry) -> float:
         return entry.figures.peak_after_m_s2 if looked else entry.played.after_peak_m_s2
 
-    admitted = [entry for entry in build.all_entries() if entry.status is Status.OPTIMAL]
+    admitted = build.proven
     loudest = max(admitted, key=after_m_s2, default=None)
     if loudest is None or after_m_s2(loudest) < FELT_g * STANDARD_GRAVITY_M_S2:
         return ""

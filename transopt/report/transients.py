@@ -23,7 +23,6 @@ from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.library.library import Library
 from transopt.plant.state_space import Input
 from transopt.plant.time_grid import TimeGrid
-from transopt.problem.answer import Status
 from transopt.problem.baselines import input_bounds
 from transopt.problem.limits.limit import SIDES
 from transopt.problem.limits.row import motor_row
@@ -208,13 +207,13 @@ def entries_figure(entries: Sequence[Sequence["Entry"]]) -> Figure:
     def drawn(entry: "Entry") -> tuple[FloatArray, FloatArray, FloatArray]:
         """(N + M,) acceleration and input, and (N,) multiplier of the input limit."""
         N, M = first.grid.stages, first.grid.after_stages
-        if entry.status is not Status.OPTIMAL:
+        if not entry.admitted:
             nothing, p = np.full((*first.rest.shape[:-1], N + M), np.nan), first.directions
             return np.full((*p, N + M), np.nan), nothing, np.zeros_like(first.rest)
         multipliers = entry.solution.multipliers
         pushed = np.stack([np.maximum(multipliers.lower(row.name), multipliers.upper(row.name)) for row in rows])
-        acceleration, current = entry.problem.stage.rollout(entry.problem.continued(entry.solution.command))
-        return acceleration, current, pushed.reshape(first.rest.shape)
+        lasting = entry.designed.effect.lasting
+        return lasting.acceleration_m_s2, lasting.plant_input, pushed.reshape(first.rest.shape)
 
     cells = [[drawn(entry) for entry in row] for row in entries]
     acceleration, current, multiplier = (np.array([[cell[j] for cell in row] for row in cells]) for j in range(3))

@@ -17,7 +17,7 @@ from transopt.base.units import unit_of, words_of
 from transopt.study.axes import Axis
 from transopt.study.inverse import Answer
 from transopt.study.plan import Plan
-from transopt.study.rows import OPTIMAL, Row, entry_cells, entry_name, number
+from transopt.study.rows import Row, entry_cells, entry_name, is_admitted, number
 
 MOST_PANELS = 12  # most heat maps, one per entry; for more entries a single map of the worst
 MOST_WRITTEN = 80  # most cells of a heat map that show their numbers
@@ -80,7 +80,7 @@ def entry_grid(plan: Plan, rows: Sequence[Row], column: str) -> FloatArray:
     """(*shape, speeds, grips) one column of a study of all combinations; NaN where the value is missing."""
     table = np.full(plan.entries, np.nan)
     for row in rows:
-        table[int(row["index"])] = number(row, column) if row["status"] == OPTIMAL else np.nan
+        table[int(row["index"])] = number(row, column) if is_admitted(row) else np.nan
     return table.reshape(*plan.shape, len(plan.speeds_m_s), len(plan.grips_N))
 
 
@@ -206,7 +206,7 @@ def small_multiples(plan: Plan, rows: Sequence[Row]) -> Figure:
     targets = plan.entry_axes.targets
     names = targets or tuple(f"{v:g}" for v in plan.speeds_m_s)
     shade = dict(zip(names, colours(len(names)), strict=True))
-    there = [row for row in rows if row["status"] == OPTIMAL]
+    there = [row for row in rows if is_admitted(row)]
     figure, panels = panels_of(len(plan.axes), 3, 2.7, 0.8, share_x=False)
     size = 4.0 if len(there) < 300 else 2.0
     for axes, axis in zip(panels.flat, plan.axes, strict=False):
@@ -253,7 +253,7 @@ def question_figure(found: Answer, label_of_key: str) -> Figure:
             next(row for row in tried.rows if (row["target"] or row["speed_m_s"], row["grip_N"]) == entry)
             for tried in found.tried
         ]
-        y = [scale * number(row, requirement.measure) if row["status"] == OPTIMAL else np.nan for row in own]
+        y = [scale * number(row, requirement.measure) if is_admitted(row) else np.nan for row in own]
         name = entry_name(own[0])
         colour, dash = by_speed[shade[entry[0]]], DASHES[dashes[entry[1]] % len(DASHES)]
         axes.plot(x, y, color=colour, linestyle=dash, linewidth=1.0, marker="o", markersize=2.5, label=name)

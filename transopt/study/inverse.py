@@ -19,7 +19,7 @@ from transopt.scene.keys import Key, check_value, find_key
 from transopt.scene.scene import Scene
 from transopt.study.axes import Axis, label
 from transopt.study.plan import Plan
-from transopt.study.rows import MEASURES, OPTIMAL, Row, entry_name, number
+from transopt.study.rows import MEASURES, Row, entry_name, is_admitted, number
 
 SCAN = 9
 TOLERANCE = 1e-3  # of the range, unless the user states one
@@ -39,7 +39,7 @@ class Requirement:
 
     def excess(self, row: Row) -> float:
         """Amount by which a row misses the bound, <= 0 if it is met; infinite without a certified answer."""
-        value = number(row, self.measure) if row["status"] == OPTIMAL else math.nan
+        value = number(row, self.measure) if is_admitted(row) else math.nan
         missed = value - self.bound if self.at_most else self.bound - value
         return math.inf if math.isnan(missed) else missed
 
@@ -207,7 +207,7 @@ class Answer:
     def _entry(self, tried: Tried) -> str:
         row = self.worst(tried)
         name = entry_name(row)
-        if row["status"] != OPTIMAL:
+        if not is_admitted(row):
             return f"{name} ({row['status']}: {row['reason']})"
         measures = dict.fromkeys(requirement.measure for requirement in self.question.requirements)
         return f"{name} ({', '.join(f'{measure} = {number(row, measure):.5g}' for measure in measures)})"

@@ -8,7 +8,7 @@ from transopt.design.refine_grid import Errors
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 from transopt.solvers.options import SolverOptions
-from transopt.study.rows import OPTIMAL
+from transopt.study.rows import ADMITTED
 
 
 def errors_of(scene: Scene) -> Errors:
@@ -58,6 +58,6 @@ def proven(device: str, errors: Errors) -> list[Proven]:
 
 def proven_sentence(optima: Sequence[Proven]) -> str:
     """Number of optima, number of certified ones, and their worst gap."""
-    certified = [one for one in optima if one.status == OPTIMAL]
+    certified = [one for one in optima if one.status in ADMITTED]
     worst = max((one.relative_gap for one in certified), default=float("nan"))
     return f"{len(certified)} of {len(optima)} optima certified (rows.csv), worst gap {worst:.0e}"

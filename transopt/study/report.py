@@ -16,7 +16,16 @@ from transopt.scene.scene import Scene
 from transopt.study.axes import label
 from transopt.study.inverse import Answer
 from transopt.study.plan import Plan
-from transopt.study.rows import MULTIPLIER_COLUMNS, OPTIMAL, REFUSED, VIOLATIONS, Row, entry_name, number
+from transopt.study.rows import (
+    ADMITTED,
+    MULTIPLIER_COLUMNS,
+    REFUSED,
+    VIOLATIONS,
+    Row,
+    entry_name,
+    is_admitted,
+    number,
+)
 from transopt.study.rows import entry_cells as place_cells
 from transopt.study.store import LIBRARIES
 
@@ -60,7 +69,7 @@ def shown_row(row: Row) -> TableRow:
         "largest_multiplier": largest_multiplier(row),
         "gap": number(row, "relative_gap"),
         "ms": 1e-3 * number(row, "solve_ms"),
-        "binding": binding_names(row) if row["status"] == OPTIMAL else f"{row['status']}: {row['reason']}",
+        "binding": binding_names(row) if is_admitted(row) else f"{row['status']}: {row['reason']}",
     }
     return TableRow(place_cells(row), values, row["reason"] if refused else "")
 
@@ -85,8 +94,8 @@ def legend(scene: Scene) -> str:
 def summary(rows: Sequence[Row]) -> str:
     """One line: numbers of outcomes, and the worst gap and violation of the certificates."""
     counts = Counter(row["status"] for row in rows)
-    there = [row for row in rows if row["status"] == OPTIMAL]
-    others = ", ".join(f"{count} {name}" for name, count in sorted(counts.items()) if name != OPTIMAL)
+    there = [row for row in rows if is_admitted(row)]
+    others = ", ".join(f"{count} {name}" for name, count in sorted(counts.items()) if name not in ADMITTED)
     text = f"{len(there)} of {len(rows)} entries certified and replayed clean" + (f"; {others}" if others else "")
     if there:
         gap = max(number(row, "relative_gap") for row in there)
@@ -123,7 +132,7 @@ def points_of(plan: Plan, rows: Sequence[Row]) -> list[Point]:
     for number_of, own in sorted(of.items()):
         labels = plan.labels(number_of)
         settings = ", ".join(f"{key} = {value} {unit_of(key)}".strip() for key, value in labels.items())
-        failed = next((row for row in own if row["status"] != OPTIMAL), None)
+        failed = next((row for row in own if not is_admitted(row)), None)
         worst = max(own, key=lambda row: number(row, "tap_error")) if failed is None else failed
         place = (
             entry_name(worst) if failed is None else f"{entry_name(failed)}: {failed['reason'] or failed['status']}"
@@ -185,7 +194,7 @@ def study_table(plan: Plan, rows: Sequence[Row]) -> Table | None:
 
 def refusal_lines(rows: Sequence[Row]) -> list[str]:
     """Every reason for a refusal once, with its count."""
-    reasons = Counter(f"{row['status']}: {row['reason']}" for row in rows if row["status"] != OPTIMAL)
+    reasons = Counter(f"{row['status']}: {row['reason']}" for row in rows if not is_admitted(row))
     if not reasons:
         return []
     lines = ["## Not certified", "", *(f"- {count} x {reason}" for reason, count in reasons.most_common(20))]
@@ -200,7 +209,7 @@ def spread_lines(plan: Plan, rows: Sequence[Row]) -> list[str]:
     for iv in range(len(plan.speeds_m_s)):
         for ig in range(len(plan.grips_N)):
             place = axes.cells(iv, ig)
-            own = [row for row in rows if place_cells(row) == place and row["status"] == OPTIMAL]
+            own = [row for row in rows if place_cells(row) == place and is_admitted(row)]
             if not own:
                 lines.append([*place, "0", "-", "-", "-", "-"])
                 continue

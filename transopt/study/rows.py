@@ -104,9 +104,9 @@ MEASURES = (
     "peak_voltage_V",
     "free_peak",
 )
-OPTIMAL = Status.OPTIMAL.name
-# Expected outcomes of varied scenes: no such optimum exists, and the row says why. Any other status but OPTIMAL means
-# that a solver or a proof fell short.
+ADMITTED = {status.name for status in Status if status.admitted}
+# Expected outcomes of varied scenes: no such optimum exists, and the row says why. Any further status means that a
+# solver or a proof fell short.
 REFUSALS = {
     REFUSED,
     *(
@@ -138,6 +138,11 @@ def row_of(outcome: Outcome, point: int, labels: Mapping[str, str]) -> Row:
     return {"index": str(outcome["index"]), "point": str(point), **varied, **cells}
 
 
+def is_admitted(row: Row) -> bool:
+    """Whether the row's answer is proven and replayed within its limits."""
+    return row["status"] in ADMITTED
+
+
 def number(row: Row, column: str) -> float:
     """A cell as a number; NaN if it is empty."""
     return float(row[column]) if row[column] else NAN
@@ -156,4 +161,4 @@ def entry_cells(row: Row) -> list[str]:
 def exit_code(rows: Sequence[Row]) -> int:
     """0 if every row is certified or a refusal and at least one is certified; else 1."""
     found = {row["status"] for row in rows}
-    return 0 if OPTIMAL in found and found <= {OPTIMAL, *REFUSALS} else 1
+    return 0 if found & ADMITTED and found <= ADMITTED | REFUSALS else 1

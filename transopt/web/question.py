@@ -11,7 +11,7 @@ from transopt.design.design import design
 from transopt.problem.answer import Status
 from transopt.scene.keys import Value, find_key, with_values
 from transopt.study.inverse import Question, Requirement, answer
-from transopt.study.rows import OPTIMAL, Row
+from transopt.study.rows import Row
 from transopt.web.controls import Control
 from transopt.web.service import Service
 
@@ -105,7 +105,7 @@ def limit_for_error(service: Service, index: int, control: Control, tap_error: f
     def row(value: float) -> Row:
         error, reason = _tap_error(service, index, {control.key: value})
         cells = {"speed_m_s": str(place.speed_m_s), "grip_N": str(place.grip_N), "target": place.target}
-        status = Status.NOT_CERTIFIED.name if reason else OPTIMAL
+        status = Status.NOT_CERTIFIED.name if reason else Status.OPTIMAL.name
         return {**cells, "status": status, "reason": reason, "tap_error": "" if reason else repr(error)}
 
     answered = answer(question, lambda values: [[row(value)] for value in values])

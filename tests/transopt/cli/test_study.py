@@ -16,6 +16,7 @@ import pytest
 from matplotlib import image
 
 import problems
+from tests.benches.actuators import nonlinear_scene
 from tests.benches.commands import Run, Terminal, assert_refused
 from tests.benches.places import ROOT
 from tests.benches.study import assert_same_rows, read, serial, short_scene
@@ -260,3 +261,14 @@ class TestCommandLine:
         assert_same_rows(out / "rows.csv", unstopped / "rows.csv")
         rows = read(out / "rows.csv")
         assert all(rows[number]["total_ms"] == total_ms for number, total_ms in before)
+
+
+def test_a_study_of_a_nonlinear_plant_has_its_answers(run: Run, tmp_path: Path) -> None:
+    scene = nonlinear_scene(tmp_path)
+    found = run(str(scene), "--vary", "limits.voltage_V=2,12", "--executor", "serial", "--out", str(tmp_path / "out"))
+    assert found.code == 0
+    assert "2 of 2 entries certified and replayed clean" in " ".join(found.out.split())
+    tight, wide = read(tmp_path / "out" / "rows.csv")
+    assert tight["status"] == wide["status"] == "STATIONARY"
+    assert float(wide["tap_error"]) < float(tight["tap_error"])
+    assert "Not certified" not in (tmp_path / "out" / "report.md").read_text(encoding="utf-8")

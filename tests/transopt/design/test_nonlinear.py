@@ -51,6 +51,12 @@ class TestDesign:
         assert "linear % promised / played" in design._repr_html_()
         assert not design.entries[0][0].linear_leaves
 
+    def test_draws_the_motion_on_the_nonlinear_plant(self, design: Build) -> None:
+        ((entry,),) = design.entries
+        drawn = [np.asarray(line.get_ydata()) for axes in entry.plot().axes for line in axes.lines]
+        in_g = entry.predicted_m_s2 / 9.80665
+        assert any(y.size >= in_g.size and np.allclose(y[: in_g.size], in_g, atol=1e-9) for y in drawn)
+
     def test_its_report_is_that_of_the_command(self, design: Build, tmp_path: Path) -> None:
         names = {path.name for path in to.write_report(design, tmp_path, figures=False)}
         assert names == {"library.npz", "nonlinear.md", "nonlinear.json", "nonlinear.csv"}
