@@ -22,7 +22,7 @@ from transopt.library.drive import Drive, Driver
 from transopt.library.library import Library
 from transopt.library.trade import TradeFigures, entry_trade
 from transopt.plant.discretise import StageModel, discretise
-from transopt.plant.nonlinear_stage import resolved
+from transopt.plant.nonlinear_stage import NonlinearStage, resolved
 from transopt.plant.time_grid import TimeGrid
 from transopt.problem.limits import posed
 from transopt.problem.limits.limit import Limit, Limits, Setting
@@ -123,6 +123,11 @@ def _lasting(values: FloatArray, sample: NDArray[np.intp]) -> FloatArray:
     return np.pad(values, (0, max(int(sample[-1]) + 1 - values.size, 0)))
 
 
+def _over_period(stage: NonlinearStage, driver: Driver, output: FloatArray) -> NonlinearStage:
+    """The device over a period of the driver, in as many steps as its output (m,) needs."""
+    return resolved(replace(stage, dt_s=1 / driver.rate_Hz), output)[0]
+
+
 def _nonlinear_accelerations(library: Library, drive: Drive) -> FloatArray:
     """(N + M,) y'' of a drive on the nonlinear plant, at the design's instants; NaN where it is not finite."""
     # Only a library of a nonlinear plant needs this import.
@@ -131,7 +136,7 @@ def _nonlinear_accelerations(library: Library, drive: Drive) -> FloatArray:
     problem, driver = nonlinear_problem(library, drive.iv, drive.ig), drive.driver
     sample, share = _within(problem.linear.grid, driver)
     output = _lasting(drive.values, sample)
-    over_period, _ = resolved(replace(problem.stage, dt_s=1 / driver.rate_Hz, substeps=1), output)
+    over_period = _over_period(problem.stage, driver, output)
     states, found = over_period.states(output)[sample], np.empty(sample.size)
     with np.errstate(all="ignore"):  # an overflow shows as a value that is not finite
         for part in np.unique(share):
@@ -178,7 +183,7 @@ def limits_left(library: Library, drive: Drive) -> tuple[str, ...]:
         from transopt.library.nonlinear import nonlinear_problem
         from transopt.proof.nonlinear_replay import played_nonlinear
 
-        device = nonlinear_problem(library, drive.iv, drive.ig).stage
+        device = _over_period(nonlinear_problem(library, drive.iv, drive.ig).stage, drive.driver, values)
         (found,) = played_nonlinear(device, stage, Yardstick(grid), Target(nothing), limits, [values])
     else:
         (found,) = replay(stage, grid, values[None], [Target(nothing)], None, limits=[limits])

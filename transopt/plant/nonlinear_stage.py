@@ -26,6 +26,8 @@ from transopt.plant.state_space import VELOCITY
 COMPLEX_STEP = (
     1e-40  # of each state in its own unit: its square is negligible, so the derivative is exact to rounding
 )
+MOST_CORRECTIONS = 12  # by Newton's method until periods stepped side by side meet
+MEET = 1e-11  # largest correction, relative to the state's largest value; the error it leaves is of its square
 MOST_SUBSTEPS = 32
 ORDER = 4  # of the integration method
 STEP_ERROR = 4e-7  # largest accepted integration error, relative to the largest acceleration
@@ -74,12 +76,14 @@ class Linearised:
     ----------
     A, B : (K, n, n) and (K, n), derivatives of z_(k+1) by z_k and by c_k.
     C, D : (K, n) and (K,), derivatives of y''_k by z_k and by c_k.
+    ends : (K, n) states z_(k+1) that follow z_k.
     """
 
     A: FloatArray
     B: FloatArray
     C: FloatArray
     D: FloatArray
+    ends: FloatArray
 
 
 @dataclass(frozen=True)
@@ -182,8 +186,29 @@ class NonlinearStage:
         own, u = self.split(states, command)
         return self.plant.acceleration(own, u, functions)
 
-    def states(self, command: FloatArray) -> FloatArray:
-        """(K + 1, n) states from rest at tau_0 to tau_K for a held command (K,); NaN after a divergence."""
+    def states(self, command: FloatArray, guess: FloatArray | None = None) -> FloatArray:
+        """(K + 1, n) states from rest at tau_0 to tau_K for a held command (K,); NaN after a divergence.
+
+        All periods are stepped side by side from guessed states, which Newton's method moves until the periods meet
+        in the recursion's one solution. Where it does not get there, one period is stepped after the other.
+
+        Parameters
+        ----------
+        guess : (K + 1, n) states nearby, such as those with other substeps; by default all are at rest.
+        """
+        z = np.zeros((command.size + 1, self.order)) if guess is None else guess
+        with np.errstate(all="ignore"):
+            for _ in range(MOST_CORRECTIONS):
+                along = self.linearised(command, z)
+                moved = corrections(along.A, along.ends - z[1:])
+                z = z + moved
+                if not np.isfinite(z).all():
+                    break
+                if np.all(np.abs(moved) <= MEET * np.abs(z).max(axis=0)):
+                    return z
+        return self._one_by_one(command)
+
+    def _one_by_one(self, command: FloatArray) -> FloatArray:
         found = np.full((command.size + 1, self.order), np.nan)
         found[0], z = 0.0, [0.0] * self.order
         for k, c in enumerate(command.tolist()):
@@ -222,14 +247,13 @@ class NonlinearStage:
         "Using complex variables to estimate derivatives of real functions", SIAM Review 40, 1998).
         """
         n, K = self.order, command.size
-        at = [column.astype(complex) for column in states[:-1].T] + [command.astype(complex)]
-        A, C = np.zeros((K, n, n + 1)), np.zeros((K, n + 1))
-        for j in range(n + 1):
-            moved = [value + 1j * COMPLEX_STEP if j == of else value for of, value in enumerate(at)]
-            after = self.step(moved[:-1], moved[-1], NUMPY)
-            A[:, :, j] = np.stack([np.imag(each) for each in after], axis=1) / COMPLEX_STEP
-            C[:, j] = np.imag(self.acceleration(moved[:-1], moved[-1], NUMPY)) / COMPLEX_STEP
-        return Linearised(A[:, :, :n], A[:, :, n], C[:, :n], C[:, n])
+        # Row j of each state and of the command is moved if that is state j, the last row if it is the command.
+        moved = np.repeat(np.vstack([states[:-1].T, command])[:, None].astype(complex), n + 1, axis=1)
+        moved[np.arange(n + 1), np.arange(n + 1)] += 1j * COMPLEX_STEP
+        ends = np.stack(self.step(list(moved[:n]), moved[n], NUMPY))
+        by = np.moveaxis(ends.imag, (0, 1), (1, 2)) / COMPLEX_STEP
+        made = np.broadcast_to(self.acceleration(list(moved[:n]), moved[n], NUMPY), (n + 1, K)).imag.T / COMPLEX_STEP
+        return Linearised(by[:, :, :n], by[:, :, n], made[:, :n], made[:, n], ends[:, 0].real.T)
 
     def adjoint(self, along: Linearised, gradient: Motion) -> FloatArray:
         """(K,) gradient by the commands for a gradient by the motion, (K,) each.
@@ -255,6 +279,19 @@ class NonlinearStage:
         return np.asarray(by_command)
 
 
+def corrections(A: FloatArray, gaps: FloatArray) -> FloatArray:
+    """(..., K + 1, n) corrections e_(k+1) = A_k e_k + d_k, e_0 = 0, of states with gaps d_k behind the periods.
+
+    Parameters
+    ----------
+    A : (..., K, n, n). gaps : (..., K, n).
+    """
+    moved = np.zeros((*gaps.shape[:-2], gaps.shape[-2] + 1, gaps.shape[-1]))
+    for k in range(gaps.shape[-2]):
+        moved[..., k + 1, :] = (A[..., k, :, :] @ moved[..., k, :, None])[..., 0] + gaps[..., k, :]
+    return moved
+
+
 def _phi(matrix: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """exp(M) and phi_1 to phi_3 of M (n, n), phi_j(M) = sum_k M^k / (k + j)!, from one exponential.
 
@@ -277,9 +314,11 @@ def resolved(stage: NonlinearStage, command: FloatArray, most: float = STEP_ERRO
     the error is at most `most`, or to 32.
     """
     found, before = replace(stage, substeps=2), replace(stage, substeps=1)
-    coarse = before.motion(command).acceleration_m_s2
+    states = before.states(command)
+    coarse = before.motion(command, states).acceleration_m_s2
     while True:
-        fine = found.motion(command).acceleration_m_s2
+        states = found.states(command, states)
+        fine = found.motion(command, states).acceleration_m_s2
         scale = max(float(np.abs(fine).max()), np.finfo(float).tiny)
         left = (found.substeps / before.substeps) ** ORDER - 1
         error = float(np.abs(fine - coarse).max()) / scale / left

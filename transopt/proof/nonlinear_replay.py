@@ -1,9 +1,10 @@
 """Independent continuous-time replay of commands on a nonlinear plant.
 
 The plant's equations with the amplifier's pole are integrated by DOP853, an explicit Runge-Kutta method of order
-eight with step control (Hairer, Norsett and Wanner, "Solving Ordinary Differential Equations I", 1993; scipy's), one
-period at a time, so that no step crosses a jump of the command. Only the plant's formulas are shared with the design,
-neither its splitting nor its steps.
+eight with step control (Hairer, Norsett and Wanner, "Solving Ordinary Differential Equations I", 1993; scipy's), each
+period by itself, so that no step crosses a jump of the command. Only the plant's formulas are shared with the design,
+neither its splitting nor its steps. All periods are integrated side by side and made to meet by multiple shooting
+(Bock and Plitt, "A multiple shooting algorithm for direct solution of optimal control problems", IFAC 1984).
 """
 
 from collections.abc import Sequence
@@ -16,7 +17,7 @@ from scipy.integrate import solve_ivp
 from transopt.base.arithmetic import NUMPY
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import Motion, StageModel
-from transopt.plant.nonlinear_stage import NonlinearStage
+from transopt.plant.nonlinear_stage import MEET, NonlinearStage, corrections
 from transopt.plant.state_space import VELOCITY
 from transopt.plant.time_grid import TimeGrid
 from transopt.problem.limits.limit import Limit, Limits
@@ -29,6 +30,9 @@ from transopt.proof.replay import Played, Replay
 SAMPLES = 4  # per servo period
 RELATIVE = 1e-9  # relative tolerance of the integrator
 ABSOLUTE = 1e-3  # absolute tolerance over the relative one, per largest predicted value of the state
+LEAST_RELATIVE = 1e-13  # of the integrator: less is rounding
+MOST_SHOTS = 8
+NEAR = 0.1  # largest correction of a guess, relative to the largest predicted value of the state
 COARSER = 100.0  # factor on the tolerances of the second replay, which estimates the error of the first
 
 
@@ -51,48 +55,79 @@ class _Course:
 
 
 def _integrated(
-    stage: NonlinearStage, grid: TimeGrid, commands: FloatArray, sizes: FloatArray, relative: float
+    stage: NonlinearStage, grid: TimeGrid, commands: FloatArray, guess: FloatArray, sizes: FloatArray, relative: float
 ) -> _Course:
-    M, N = commands.shape
-    n, dt, tau = stage.order, grid.dt_s, grid.switching_times_s[0]
+    """Integrate M commands (M, N) from rest through the window and the time after it, K periods in all.
+
+    The periods do not wait for each other: all are integrated side by side from guessed states (M, K + 1, n) at their
+    beginnings, and the guess is moved until every period ends where the next one begins (multiple shooting). The
+    motion that is found does not depend on the guess. Without such a guess, or if the periods do not meet, one period
+    is integrated after the other.
+    """
+    M, K = guess.shape[0], guess.shape[1] - 1
+    held = np.append(commands, np.zeros((M, K - commands.shape[1])), axis=1)
+    samples = _meeting(stage, grid.dt_s, held, guess, sizes, relative) if np.isfinite(guess).all() else None
+    if samples is None:
+        samples, z = np.full((M, K, stage.order, SAMPLES + 1), np.nan), np.zeros((M, stage.order))
+        for k in range(K):
+            if not np.isfinite(z).all():
+                break
+            samples[:, k] = _periods(stage, grid.dt_s, held[:, k], z, sizes, relative)
+            z = samples[:, k, :, -1]
+    offsets = np.linspace(0.0, grid.dt_s, SAMPLES + 1)
+    return _Course(
+        times_s=(grid.switching_times_s[0] + grid.dt_s * np.arange(K)[:, None] + offsets).ravel(),
+        states=samples.swapaxes(1, 2).reshape(M, stage.order, -1),
+        felt=np.repeat(held, SAMPLES + 1, axis=1),
+        instants=(SAMPLES + 1) * np.arange(grid.stages + grid.after_stages),
+    )
+
+
+def _meeting(
+    stage: NonlinearStage, dt_s: float, held: FloatArray, guess: FloatArray, sizes: FloatArray, relative: float
+) -> FloatArray | None:
+    """(M, K, n, SAMPLES + 1) samples of periods that each begin where the one before ends; None if they do not meet.
+
+    The beginnings move as by Newton's method, with the derivatives of the discrete stage along the guess.
+    """
+    M, K, n = *held.shape, stage.order
+    A = np.stack([stage.linearised(c, z).A for c, z in zip(held, guess, strict=True)])
+    starts = guess.copy()
+    for _ in range(MOST_SHOTS):
+        samples = _periods(stage, dt_s, held.ravel(), starts[:, :-1].reshape(-1, n), sizes, relative)
+        samples = samples.reshape(M, K, n, SAMPLES + 1)
+        moved = corrections(A, samples[..., -1] - starts[:, 1:])
+        if not np.all(np.abs(moved) <= NEAR * sizes):  # or NaN; far from the motion the plant may be stiff
+            return None
+        if np.all(np.abs(moved) <= MEET * sizes):
+            return samples
+        starts += moved
+    return None
+
+
+def _periods(
+    stage: NonlinearStage, dt_s: float, commands: FloatArray, starts: FloatArray, sizes: FloatArray, relative: float
+) -> FloatArray:
+    """(P, n, SAMPLES + 1) samples of P periods, each from its own states (P, n) under its own held command (P,)."""
+    P, n = starts.shape
     rate_rad_s = 0.0 if stage.amplifier is None else stage.amplifier.rate_rad_s
 
-    def rate(_: float, z: FloatArray, command: FloatArray) -> FloatArray:
-        states = list(z.reshape(n, M))
-        own, u = stage.split(states, command)
+    def rate(_: float, z: FloatArray) -> FloatArray:
+        states = list(z.reshape(n, P))
+        own, u = stage.split(states, commands)
         rates = stage.plant.rate(own, u, NUMPY)
         if stage.amplifier is not None:
-            rates.append(rate_rad_s * (command - u))
+            rates.append(rate_rad_s * (commands - u))
         return np.concatenate(rates)
 
-    absolute = np.repeat(relative * ABSOLUTE * sizes, M)
-    later = round(after_s(grid) / dt)
-    samples = N * (SAMPLES + 1) + later * SAMPLES + 1
-    states, felt, times = np.full((samples, n * M), np.nan), np.zeros((samples, M)), np.empty(samples)
-    z, at = np.zeros(n * M), 0
-    # One span per period, and one for the time after the window.
-    spans = [(k * dt, 1, commands[:, k]) for k in range(N)] + [(N * dt, later, np.zeros(M))]
-    for start, periods, command in spans:
-        offsets = np.linspace(0.0, periods * dt, periods * SAMPLES + 1)
-        where = slice(at, at + offsets.size)
-        times[where], felt[where] = tau + start + offsets, command
-        at += offsets.size
-        if not np.isfinite(z).all():
-            continue
-        found = solve_ivp(
-            rate,
-            (0.0, offsets[-1]),
-            z,
-            method="DOP853",
-            t_eval=offsets,
-            args=(command,),
-            rtol=relative,
-            atol=absolute,
-        )
-        states[at - offsets.size : at - offsets.size + found.y.shape[1]] = found.y.T
-        z = found.y[:, -1] if found.success else np.full(n * M, np.nan)
-    instants = np.append((SAMPLES + 1) * np.arange(N), N * (SAMPLES + 1) + SAMPLES * np.arange(grid.after_stages))
-    return _Course(times, np.moveaxis(states.reshape(samples, n, M), 0, -1).swapaxes(0, 1), felt.T, instants)
+    # The integrator bounds the root mean square of all errors: with the tolerance over sqrt(P), that of each period.
+    relative = max(relative / P**0.5, LEAST_RELATIVE)
+    offsets, samples = np.linspace(0.0, dt_s, SAMPLES + 1), np.full((SAMPLES + 1, n * P), np.nan)
+    absolute = np.repeat(relative * ABSOLUTE * sizes, P)
+    ends = (0.0, dt_s)
+    found = solve_ivp(rate, ends, starts.T.ravel(), method="DOP853", t_eval=offsets, rtol=relative, atol=absolute)
+    samples[: found.y.shape[1]] = found.y.T
+    return np.moveaxis(samples.reshape(SAMPLES + 1, n, P), -1, 0).swapaxes(1, 2)
 
 
 def _motion(stage: NonlinearStage, course: _Course) -> Motion:
@@ -145,7 +180,7 @@ def played_nonlinear(
 
     Parameters
     ----------
-    stage : plant and amplifier; its discrete steps are not used.
+    stage : plant and amplifier; its discrete steps over a period of the grid are a first guess and no more.
     at_rest : stage model of the plant linearised at rest, whose outputs the limits refer to.
     yardstick : rule by which figures are computed.
     target : target acceleration.
@@ -153,7 +188,7 @@ def played_nonlinear(
     """
     grid, played = yardstick.grid, np.stack(commands)
     N = grid.stages
-    after = np.zeros(grid.after_stages)
+    after = np.zeros(round(after_s(grid) / grid.dt_s))
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         # For a motion that diverges, the states up to the divergence give their sizes.
         states = [stage.states(np.append(each, after)) for each in played]
@@ -166,8 +201,8 @@ def played_nonlinear(
             ]
         peaks = np.max([np.nanmax(np.abs(each), axis=0) for each in states], axis=0)
         sizes = np.where(peaks > 0, peaks, 1.0)
-        course = _integrated(stage, grid, played, sizes, RELATIVE)
-        coarse = _integrated(stage, grid, played, sizes, COARSER * RELATIVE)
+        guess = np.stack(states)
+        course, coarse = (_integrated(stage, grid, played, guess, sizes, by * RELATIVE) for by in (1.0, COARSER))
         run, other = (_motion(stage, each) for each in (course, coarse))
         found, before = (each.acceleration_m_s2[:, course.instants] for each in (run, other))
         error = np.abs(found - before).max(axis=1) / peak_scale(np.abs(found).max(axis=1), 0.0)

@@ -18,6 +18,7 @@ from transopt.design.build import Build
 from transopt.design.solve import design_nonlinear
 from transopt.problem.answer import Solution, Status
 from transopt.problem.nonlinear import NonlinearProblem
+from transopt.proof import nonlinear_replay
 from transopt.proof.nonlinear_replay import replay_nonlinear
 from transopt.scene.builtin import load_scene
 from transopt.solvers.options import SolverOptions
@@ -50,6 +51,19 @@ class TestDesign:
         assert "of the linear design" in repr(design.entries[0][0])
         assert "linear % promised / played" in design._repr_html_()
         assert not design.entries[0][0].linear_leaves
+
+    def test_is_replayed_as_by_one_period_after_the_other(
+        self, design: Build, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        ((entry,),) = design.entries
+        problem = entry.designed.nonlinear
+        assert problem is not None
+        monkeypatch.setattr(nonlinear_replay, "MOST_SHOTS", 0)
+        (expected,) = replay_nonlinear(problem, [entry.solution.command])
+        size = expected.scale_m_s2
+        assert entry.made_m_s2 == pytest.approx(expected.acceleration_m_s2, abs=1e-8 * size)
+        assert entry.played.after_m_s2 == pytest.approx(expected.after_m_s2, abs=1e-8 * size)
+        assert entry.played.reached == pytest.approx(expected.reached, rel=1e-8)
 
     def test_draws_the_motion_on_the_nonlinear_plant(self, design: Build) -> None:
         ((entry,),) = design.entries

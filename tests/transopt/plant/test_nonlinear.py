@@ -8,10 +8,11 @@ import pytest
 from pydantic import ValidationError
 
 from tests.benches.actuators import LRA, integrated
+from transopt.plant import nonlinear_stage
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.discretise import AFTER, Motion, discretise
 from transopt.plant.inertial import Inertial
-from transopt.plant.nonlinear import NonlinearCoil
+from transopt.plant.nonlinear import Nonlinear, NonlinearCoil
 from transopt.plant.nonlinear_stage import NonlinearStage, resolved
 from transopt.plant.voice_coil import VoiceCoil
 
@@ -107,6 +108,18 @@ def test_the_error_of_a_step_falls_by_its_order() -> None:
         errors.append(np.abs(found - expected).max())
     assert errors[0] / errors[1] > 12  # of order four: 16
     assert errors[1] / errors[2] > 12
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_periods_side_by_side_meet_where_one_after_the_other_goes(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    sharp = KINDS[name].model_copy(update={"nonlinear": Nonlinear(**{**LAWS, "friction": "0.02*tanh(v/1e-4)"})})
+    stage, far = NonlinearStage(plant_of(sharp), AMPLIFIERS["pole"], DT_S, 4), np.full((61, 4), 1e6)
+    found, from_afar = stage.states(command()), stage.states(command(), far[:, : stage.order])
+    monkeypatch.setattr(nonlinear_stage, "MOST_CORRECTIONS", 0)
+    expected = stage.states(command())
+    size = np.abs(expected).max(axis=0)
+    assert np.all(np.abs(found - expected) <= 1e-12 * size)
+    assert np.all(np.abs(from_afar - expected) <= 1e-12 * size)
 
 
 def test_a_motion_without_a_value_is_not_a_number() -> None:
