@@ -25,7 +25,9 @@ CLUSTER_WIDTH = 0.1  # relative width of a group of speeds; a tap may be scaled 
 
 
 def taps_table(taps: Sequence[PreparedTap]) -> Table:
-    """One row per tap: rate, onset, offset, polarity, speed and its source, grip, a0, peak, clipping, notes."""
+    """One row per tap: rate, onset, offset, polarity, speed, grip, a0, peak, and what differs or is there at all."""
+    sources = {tap.speed_source for tap in taps}
+    clipped, noted = any(tap.clipped_samples for tap in taps), any(tap.notes for tap in taps)
     names = (
         "file",
         "rate kHz",
@@ -33,14 +35,18 @@ def taps_table(taps: Sequence[PreparedTap]) -> Table:
         "offset g",
         "polarity",
         "speed m/s",
-        "speed from",
+        *["speed from"] * (len(sources) > 1),
         "grip N",
         "a0 m/s2",
         "peak g",
-        "clipped",
-        "notes",
+        *["clipped"] * clipped,
+        *["notes"] * noted,
     )
-    table = Table.of(f"{len(taps)} recording{'s' * (len(taps) > 1)}", names, words=("file", "speed from", "notes"))
+    title = f"{len(taps)} recording{'s' * (len(taps) > 1)}"
+    if len(sources) == 1:
+        title += f", speed source: {min(sources)}"
+    title += ", no sample clipped" * (not clipped)
+    table = Table.of(title, names, words=("file", "speed from", "notes"))
     for tap in taps:
         table.add_row(
             tap.recording.name,
@@ -49,12 +55,12 @@ def taps_table(taps: Sequence[PreparedTap]) -> Table:
             f"{tap.offset_m_s2 / STANDARD_GRAVITY_M_S2:.3f}",
             "+" if tap.polarity > 0 else "-",
             _speed_cell(tap),
-            tap.speed_source,
+            *[tap.speed_source] * (len(sources) > 1),
             "?" if tap.recording.grip_N is None else f"{tap.recording.grip_N:.4g}",
             "?" if tap.incoming_source == UNSEPARATED else f"{tap.incoming_acceleration_m_s2:.2f}",
             f"{tap.peak_m_s2 / STANDARD_GRAVITY_M_S2:.3g}",
-            str(tap.clipped_samples) if tap.clipped_samples else "no",
-            "; ".join(tap.notes) or "-",
+            *[str(tap.clipped_samples) if tap.clipped_samples else "no"] * clipped,
+            *["; ".join(tap.notes) or "-"] * noted,
         )
     return table
 
