@@ -84,7 +84,7 @@ static void run(FILE *file)
     tr_result r[BESIDE];
     for (int i = 0; i < BESIDE; i++) {
         const tr_result empty = {doubles(moves), doubles(N), doubles(rows), doubles(rows), doubles(moves), doubles((size_t)q.nodes),
-                                 0, 0, 0.0, 0.0, 0.0};
+                                 0, 0, 0, 0.0, 0.0, 0.0};
         beside[i] = q;
         r[i] = empty;
         /* A result that is not written, as of a breakdown at once, is zero as from Python. */

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from transopt.base.errors import InputError
+from transopt.problem.objective.target import Target
 from transopt.solvers.native import extension
 
 FALLBACK = "casadi-piqp"
@@ -46,6 +47,14 @@ class SolverOptions:
 
 @dataclass(frozen=True)
 class TrialOptions(SolverOptions):
-    """Options of a trial: if the solver fails, no other solver is tried and no reason is searched for."""
+    """Options of a trial: if the solver fails, no other solver is tried and no reason is searched for.
+
+    Attributes
+    ----------
+    spans : stages up to which limits bound in the last trial of each target, where the next search begins. Solvers
+        write it; it changes the time of a trial, and its answer by less than the tolerance.
+    """
 
     brief: ClassVar[bool] = True
+
+    spans: dict[int, tuple[Target, int]] = field(default_factory=dict, compare=False, repr=False)

@@ -4,15 +4,18 @@ The extension is optional. Where it could not be built, `available` is False and
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+
+import numpy as np
 
 from transopt.problem.answer import Solution, Status
 from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import layout
 from transopt.proof.farkas import is_infeasible
 from transopt.solvers.native.extension import Answer, available, interior_points, takes
-from transopt.solvers.options import SolverOptions
+from transopt.solvers.options import SolverOptions, TrialOptions
 from transopt.solvers.stage_data import Stages, stages, stages_of
 
 __all__ = ["available", "can_solve", "solve", "stages"]
@@ -20,6 +23,11 @@ __all__ = ["available", "can_solve", "solve", "stages"]
 # Factor by which the tolerances on gap and residuals are looser than `SolverOptions.tolerance`. At the default that
 # leaves three digits to the certificate's tolerance; more digits only cost iterations.
 LOOSER = 10.0
+BOUND = 1e-6  # least multiplier, in scaled units, of a limit that binds; others have about the tolerance
+# Searches that follow a trial have one of few lengths, so that taps whose limits bind about as long share a search.
+LENGTHS = 16 / 3  # of all stages; the shortest is that of a search of which nothing is known
+BEYOND = 24  # stages after the last at which a limit bound in the trial before, since that moves a little
+MOST_SPANS = 256
 ROWS_OF_HEAT = 4  # rows beside those of the limits: the winding's temperature, and the magnitude of the mean current
 
 # Status of each code that `tr_solve` returns.
@@ -50,9 +58,33 @@ def solve(problems: Sequence[TransientProblem], options: SolverOptions) -> list[
     """
     start = time.perf_counter()
     given = stages_of(problems)
-    answers = interior_points(given, tolerance=LOOSER * options.tolerance, max_iterations=options.max_iterations)
+    spans = options.spans if isinstance(options, TrialOptions) else None
+    answers = interior_points(
+        given,
+        tolerance=LOOSER * options.tolerance,
+        max_iterations=options.max_iterations,
+        first=[] if spans is None else [_first_length(each.problem, spans) for each in given],
+    )
+    if spans is not None:
+        if len(spans) > MOST_SPANS:
+            spans.clear()
+        targets = [each.problem.target for each in given]
+        spans |= {id(target): (target, _span(answer)) for target, answer in zip(targets, answers, strict=True)}
     spent = (time.perf_counter() - start) / max(len(given), 1)
     return [_solution(each, answer, spent) for each, answer in zip(given, answers, strict=True)]
+
+
+def _first_length(problem: TransientProblem, spans: Mapping[int, tuple[Target, int]]) -> int:
+    """Stages at which limits are stated first, by the last trial of the same target; 0 where there was none."""
+    target, span = spans.get(id(problem.target), (None, 0))
+    length = max(round(problem.grid.stages / LENGTHS), 1)
+    return length * -(-(span + BEYOND) // length) if target is problem.target else 0
+
+
+def _span(answer: Answer) -> int:
+    """Stages up to the last at which a limit binds."""
+    most = np.maximum(answer.lower, answer.upper).max(axis=1, initial=0.0)
+    return 1 + int(np.flatnonzero(most > BOUND).max(initial=-1))
 
 
 def _solution(given: Stages, answer: Answer, spent_s: float) -> Solution:

@@ -3,7 +3,8 @@
 Most of a tap's time is spent in Python code, which threads of one process cannot run in parallel. So the server has a
 crew of processes, as many as leave one core each to server and browser: on two cores none, where a process would take
 the browser's time and shorten no answer. They are started with the page. Until they are ready, or while they work for
-another window, the server solves all taps itself. The answers do not depend on the process.
+another window, the server solves all taps itself. The answers depend on the process by
+less than the solver's tolerance, since each begins where its own last ones ended.
 """
 
 import itertools

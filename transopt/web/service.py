@@ -106,12 +106,17 @@ class Service:
 
     def __getstate__(self) -> dict[str, Any]:
         # Another process builds the devices itself, and needs the references only.
-        return {**vars(self), "_stages": Kept(KEPT_STAGES), "_context": None, "of_library": None}
+        return {**vars(self), **self._fresh, "of_library": None}
+
+    @property
+    def _fresh(self) -> dict[str, Any]:
+        """What services of one scene do not share, as at their beginning."""
+        return {"_stages": Kept(KEPT_STAGES), "_context": None, "trial": replace(self.trial, spans={})}
 
     def another(self) -> "Service":
         """A service of the scene as opened for another window; the references are shared."""
         found = object.__new__(Service)
-        vars(found).update(vars(self) | {"_stages": Kept(KEPT_STAGES), "_context": None})
+        vars(found).update(vars(self) | self._fresh)
         found.scene, found.changes, found.probe, found.winding_C = self.opened, {}, None, None
         return found
 

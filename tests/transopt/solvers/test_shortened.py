@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,9 +18,11 @@ from transopt.problem.wall_ticks import pressing
 from transopt.proof.certify import certify
 from transopt.proof.effect import Effect
 from transopt.scene.recordings import recordings_of
+from transopt.solvers import riccati
 from transopt.solvers.native import extension
+from transopt.solvers.options import SolverOptions, TrialOptions
 from transopt.solvers.prove import certified
-from transopt.solvers.stage_data import stages
+from transopt.solvers.stage_data import Stages, stages
 
 pytestmark = pytest.mark.skipif(not extension.available, reason="the extension is not built")
 
@@ -81,6 +84,48 @@ def test_a_search_is_lengthened_until_it_leaves_no_limit(saturated: TransientPro
         proof = certify(each.problem, command, multipliers)
         assert proof.accepted
         assert proof.relative_gap < 1e-8
+
+
+@pytest.mark.parametrize("first", [1, 20, 150, 450, 700])
+def test_where_a_search_begins_does_not_change_its_answer(saturated: TransientProblem, first: int) -> None:
+    """Too few stages are lengthened; too many take longer. Two taps with other numbers are not searched together."""
+    given = [stages(with_numbers(saturated, current_A=limit)) for limit in (1.0, 4.0, 4.0)]
+    asked = {"tolerance": TOLERANCE, "max_iterations": 60}
+    whole = [answer(each.problem, each.problem.free_stages) for each in given]
+    found = extension.interior_points(given, **asked, first=[first, first, 0])
+    for each, own, expected in zip(given, found, whole, strict=True):
+        assert own.code in ANSWERED
+        assert own.objective == pytest.approx(expected.objective, rel=TOLERANCE)
+        multipliers = each.multipliers(own.upper - own.lower, own.gradient)
+        proof = certify(each.problem, each.command(own.command), multipliers)
+        assert proof.accepted
+        assert proof.relative_gap < 1e-8
+    # A multiplier is written where its limit is stated, also where it does not bind.
+    stated = [int(np.flatnonzero((own.upper + own.lower).any(axis=1)).max()) for own in found]
+    assert stated[2] < given[2].sizes["stages"] // 4
+    assert stated[1] >= max(first - 2, stated[2])
+
+
+def test_a_trial_begins_where_limits_bound_in_the_one_before(
+    saturated: TransientProblem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun = list[list[int]]()
+
+    def noted(given: list[Stages], *, first: list[int], **asked: Any) -> list[extension.Answer]:
+        begun.append(first)
+        return extension.interior_points(given, first=first, **asked)
+
+    monkeypatch.setattr(riccati, "interior_points", noted)
+    trial, late = TrialOptions("riccati"), with_numbers(saturated, current_A=1.0)
+    for problem in (late, late, saturated, saturated):
+        riccati.solve([problem], trial)
+    bound = [last_bound(answer(problem, 0)) for problem in (late, saturated)]
+    assert [first for (first,) in begun[::2]] == [0, begun[1][0]]
+    for (first,), last in zip(begun[1::2], bound, strict=True):
+        assert last < first < last + riccati.BEYOND + 1 + saturated.grid.stages / riccati.LENGTHS
+    riccati.solve([saturated.towards(2 * saturated.reference_m_s2)], trial)
+    riccati.solve([late], SolverOptions("riccati"))
+    assert begun[-2:] == [[0], []]
 
 
 def test_a_limit_that_binds_after_the_cut_is_left_and_not_certified(saturated: TransientProblem) -> None:

@@ -22,7 +22,7 @@ from transopt.solvers.stage_data import Stages, records_of
 
 EXTENSION = "_riccati.pyd" if os.name == "nt" else "_riccati.so"
 MOST_STATES, MOST_MOTORS, MOST_ROWS = 96, 4, 128  # of riccati.c
-INTERFACE = 12  # version as in `tr_interface` of riccati.c; both change with the meaning of arguments or results
+INTERFACE = 13  # version as in `tr_interface` of riccati.c; both change with the meaning of arguments or results
 
 
 class _Host(ct.Structure):
@@ -37,7 +37,7 @@ ADDRESS, INTEGER, NUMBER = (np.dtype(kind) for kind in (ct.c_void_p, ct.c_int, c
 # `tr_result` and `tr_proof` of riccati.c.
 RESULT = [
     *[(name, ADDRESS) for name in ("command", "size", "lower", "upper", "gradient", "start")],
-    *[(name, INTEGER) for name in ("code", "iterations")],
+    *[(name, INTEGER) for name in ("code", "iterations", "first")],
     *[(name, NUMBER) for name in ("objective", "gap", "residual")],
 ]
 PROOF = [
@@ -137,22 +137,24 @@ def _at(arrays: Mapping[str, FloatArray], fields: list[tuple[str, np.dtype[Any]]
     return found
 
 
-def of_equal_sizes(given: Sequence[Stages]) -> Iterator[list[int]]:
-    """Groups of indices of problems with equal sizes, which can be solved side by side."""
+def of_equal_sizes(given: Sequence[Stages], first: Sequence[int] = ()) -> Iterator[list[int]]:
+    """Groups of indices of problems with equal sizes, and equal numbers `first`, which can be solved side by side."""
     groups: dict[tuple[int, ...], list[int]] = {}
     for i, stages in enumerate(given):
-        groups.setdefault(tuple(stages.sizes.values()), []).append(i)
+        groups.setdefault((*stages.sizes.values(), *first[i : i + 1]), []).append(i)
     yield from groups.values()
 
 
-def _answers(method: Any, given: Sequence[Stages], asked: _Options, cut: int = 0) -> list[Answer]:
+def _answers(
+    method: Any, given: Sequence[Stages], asked: _Options, cut: int = 0, first: Sequence[int] = ()
+) -> list[Answer]:
     """Answers of `tr_solve` or `tr_linear` to problems of any sizes, in their order.
 
     With a `cut`, there is one problem, and its answer is that of `tr_shortened`.
     """
     assert _LIBRARY is not None
     found: dict[int, Answer] = {}
-    for group in of_equal_sizes(given):
+    for group in of_equal_sizes(given, first):
         some, count = [given[i] for i in group], len(group)
         N, motors, rows, nodes = (some[0].sizes[name] for name in ("stages", "motors", "rows", "nodes"))
         (command, gradient), size = np.zeros((2, count, N, motors)), np.zeros((count, N))
@@ -162,6 +164,7 @@ def _answers(method: Any, given: Sequence[Stages], asked: _Options, cut: int = 0
         arrays = {"command": command, "size": size, "gradient": gradient, "start": start}
         problems = records_of([each.record for each in some])
         results = _at(arrays | {"lower": sides[0], "upper": sides[1]}, RESULT)
+        results["first"] = first[group[0]] if first else 0
         at, into = problems.ctypes.data, results.ctypes.data
         if cut:
             space = _workspace(_LIBRARY.tr_shortened_workspace(at))
@@ -176,7 +179,9 @@ def _answers(method: Any, given: Sequence[Stages], asked: _Options, cut: int = 0
     return [found[i] for i in range(len(given))]
 
 
-def interior_points(given: Sequence[Stages], *, tolerance: float, max_iterations: int, cut: int = 0) -> list[Answer]:
+def interior_points(
+    given: Sequence[Stages], *, tolerance: float, max_iterations: int, cut: int = 0, first: Sequence[int] = ()
+) -> list[Answer]:
     """Solve problems, those of equal sizes side by side.
 
     Without the temperature, limits are stated at the first stages alone, and at more if an answer leaves them.
@@ -187,13 +192,15 @@ def interior_points(given: Sequence[Stages], *, tolerance: float, max_iterations
     cut : only for a single problem without taps that repeat. If it is above 0, there is one search, with the limits
         stated at the stages before it alone: over so many stages, much shorter if limits bind early. The caller must
         check the limits from there on.
+    first : for each problem the stages at which limits are stated first, 0 for as many as usually suffice. A good
+        number spares searches that are too short or too long; the answer is the same up to the tolerance.
 
     Raises
     ------
     InputError : invalid bounds of a limit.
     """
     assert _LIBRARY is not None
-    found = _answers(_LIBRARY.tr_solve, given, _Options(max_iterations, tolerance, _HOST), cut)
+    found = _answers(_LIBRARY.tr_solve, given, _Options(max_iterations, tolerance, _HOST), cut, first)
     for stages, answer in zip(given, found, strict=True):
         if answer.code == NO_BOUNDS:
             rows = stages.limits

@@ -80,7 +80,7 @@ static const tr_kernel *kernel_for(const tr_problem *q, int count, int *taken)
 }
 
 /* Version of the interface, incremented when arguments or results change; callers must check it. */
-int tr_interface(void) { return 12; }
+int tr_interface(void) { return 13; }
 
 static int fits(const tr_problem *q)
 {
@@ -142,6 +142,13 @@ static int cut_after(const tr_problem *q, int last)
     return cut > 3 * q->free_stages / 4 ? q->stages : cut;
 }
 
+/* Stages of the first search for a problem; the caller may know better than the usual number. */
+static int first_cut(const tr_problem *q, int first)
+{
+    if (!shortens(q) || first > 3 * q->free_stages / 4) return q->stages;
+    return first > 0 ? first : q->stages / STEPS * FIRST;
+}
+
 /* Solve problems side by side, `taken` of the kernel's. Returns TR_INTERRUPTED, or 0.
  *
  * Limits bind early as a rule: they are first stated at the first stages alone, then up to the last stage at which that
@@ -156,7 +163,7 @@ static int search(const tr_kernel *kernel, const tr_problem *q, int taken, const
     int last[MOST_ENTRIES], cut[MOST_ENTRIES], of[MOST_ENTRIES];
     tr_options tighter = *options;
     tighter.tolerance *= TIGHTER;
-    for (int e = 0; e < taken; e++) cut[e] = shortens(q) ? q->stages / STEPS * FIRST : q->stages;
+    for (int e = 0; e < taken; e++) cut[e] = first_cut(q, r[e].first);
     for (int first = 0; first < taken;) {
         int found = 0, failed;
         if (cut[first] == ENDED) {

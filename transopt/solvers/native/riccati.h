@@ -46,6 +46,7 @@ typedef struct {
     double *gradient;          /* (N, m) of the Lagrangian by u, with the hand-over's rule as feedback */
     double *start;             /* (nodes) th_0 */
     int code, iterations;
+    int first; /* in `tr_solve`: stages at which limits are stated first; 0: as many as usually suffice */
     double objective, gap, residual;
 } tr_result;
 
