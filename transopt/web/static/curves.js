@@ -12,24 +12,28 @@ export function colours() {
 }
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { kept = null; });
 
-// A curve within the time `view` as the corners of a line, x and y in turn: for every pixel at most two samples, the
-// least and the greatest, which is all that a line of so many pixels can show. A gap in the values is NaN in the line.
-// `place`: x of the begin of `view`, pixels, y of zero, and pixels of one unit of the values.
+const DETAIL_PX = 0.2; // vertical distance of a curve from its line that is not seen
+
+// A curve within the time `view` as the corners of a line, x and y in turn, as few as pass its samples within `DETAIL_PX`:
+// each costs the browser. A gap in the values is NaN in the line. `place`: x of the begin of `view`, pixels, y of zero, and
+// pixels of one unit of the values.
 export function lineOf(times, values, view, { left, pixels, zero, unit }) {
   const dt = times.length > 1 ? times[1] - times[0] : 1, line = [], [from, to] = view, second = pixels / (to - from);
   const first = Math.max(Math.floor((from - times[0]) / dt) - 1, 0);
   const after = Math.min(Math.ceil((to - times[0]) / dt) + 2, values.length);
-  const some = Math.max(Math.floor((after - first) / (2 * pixels)), 1);
-  for (let at = first; at < after; at += some) {
-    let low = at, high = at;
-    for (let j = at + 1; j < Math.min(at + some, after); j++) {
-      if (values[j] < values[low]) low = j;
-      if (values[j] > values[high]) high = j;
+  // The last corner, the sample before the present one, and the slopes from the corner that pass all samples since.
+  let x0 = NaN, y0 = NaN, x1 = NaN, y1 = NaN, least = NaN, most = NaN;
+  for (let at = first; at < after; at++) {
+    const x = left + (times[at] - from) * second, y = zero - values[at] * unit, slope = (y - y0) / (x - x0);
+    if (!(slope >= least && slope <= most)) {
+      if (at > first) line.push(x1, y1);
+      [x0, y0, least, most] = [x1, y1, -Infinity, Infinity];
     }
-    const one = Math.min(low, high), other = Math.max(low, high);
-    line.push(left + (times[one] - from) * second, zero - values[one] * unit);
-    if (other > one) line.push(left + (times[other] - from) * second, zero - values[other] * unit);
+    least = Math.max(least, (y - DETAIL_PX - y0) / (x - x0));
+    most = Math.min(most, (y + DETAIL_PX - y0) / (x - x0));
+    [x1, y1] = [x, y];
   }
+  if (after > first) line.push(x1, y1);
   return line;
 }
 
