@@ -7,13 +7,15 @@ import { largest } from "./words.js";
 const G = 9.80665; // m/s^2
 const FIRST_MS = 20; // time of a tap that is shown at first: what is felt of it
 const ROOM = { left: 46, right: 10, top: 4, bottom: 36, between: 13 };
+const TITLE_PX = 20; // height of a title with room around it
 const FULL_WIDTH = 5; // characters of a number on a vertical axis for which the room on its left suffices in any font
 const DASHES = { clipped: "6 4", start: "2 3", warm: "9 3", limit: "2 3" };
 const WIDTHS = { optimum: 2.2, warm: 1.8, recorded: 1, start: 1, clipped: 1, limit: 1 };
 
+// Round numbers from `low` to `high`, rather some more of them than only zero.
 function ticks(low, high, about) {
   const raw = (high - low) / about, power = 10 ** Math.floor(Math.log10(raw));
-  const step = [1, 2, 2.5, 5, 10].map((m) => m * power).find((each) => each >= raw * 0.999);
+  const step = [10, 5, 2.5, 2, 1].map((m) => m * power).find((each) => each <= 1.26 * raw);
   const found = [];
   for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) found.push(Number((k * step).toPrecision(10)));
   return found;
@@ -200,8 +202,9 @@ export class Detail {
       const drawn = curves[each].filter(([curve, times, values]) => times && values?.length && (curve === "limit" || !this.hidden.has(curve)));
       above.push(["clipPath", { id: `in-${each}` }, [["rect", { x: left, y: top, width: right - left, height: size }]]],
         ["g", { "clip-path": `url(#in-${each})`, fill: "none" }, drawn.map((curve) => this.path(curve, this.panels[each], right - left))]);
-      // The limit's handle lies at the upper right of the input.
-      text(above, right - 4, each === "input" ? (y(0) + y(-this.tap.input_limit)) / 2 + 5 : top + 13, titles[each],
+      // The limit's handle lies at the upper right of the input, whose title is below both limits where there is room.
+      const lowest = y(-this.tap.input_limit), under = bottom - lowest > TITLE_PX ? bottom - 5 : (y(0) + lowest) / 2 + 5;
+      text(above, right - 4, each === "input" ? under : top + 13, titles[each],
         { "text-anchor": "end", "paint-order": "stroke", stroke: colour.ground, "stroke-width": 4, "stroke-linejoin": "round" });
       top = bottom + ROOM.between;
     }
