@@ -1,5 +1,6 @@
 """One tap as the page shows it: curves, figures, and the cells of its row in the table."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,6 +15,8 @@ from transopt.problem.answer import Status
 from transopt.problem.baselines import clipped_optimum
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.figures import Figures
+from transopt.problem.problem import tap_errors
+from transopt.proof.effect import warm_up
 from transopt.web.price import Priced
 from transopt.web.warm import Warm
 
@@ -118,23 +121,22 @@ class Shown:
 def shown(indices: Sequence[int], entries: Sequence[Entry]) -> list[Shown]:
     """Taps of one scene from their entries, before they are replayed."""
     clipped, certified = _clipped(entries), [entry for entry in entries if _is_certified(entry)]
-    # The figures of all curves come from one call: each call filters its accelerations several times.
-    optima = [entry.designed.effect.lasting.acceleration_m_s2 for entry in certified]
-    figures = _figures([*certified, *entries], [*optima, *(clipped[id(entry)][0] for entry in entries)])
-    own = {id(entry): found for entry, found in zip(certified, figures, strict=False)}
-    errors = [found.tap_error for found in figures[len(certified) :]]
+    warm_up([entry.designed.effect for entry in certified])
+    own = dict(zip(map(id, certified), _figures(certified), strict=True))
+    errors = tap_errors([entry.problem for entry in entries], [clipped[id(entry)][0] for entry in entries])
     return [
         _shown(index, entry, own.get(id(entry)), error, *clipped[id(entry)])
         for index, entry, error in zip(indices, entries, errors, strict=True)
     ]
 
 
-def _figures(entries: Sequence[Entry], accelerations_m_s2: Sequence[FloatArray]) -> list[Figures]:
-    """Comparison of an acceleration y'' (N + M,) for each entry with the entry's recorded tap."""
+def _figures(entries: Sequence[Entry]) -> list[Figures]:
+    """Comparison of each entry's optimum with its recorded tap, in one call, which filters them side by side."""
     if not entries:
         return []
     targets = [entry.problem.target for entry in entries]
-    return entries[0].problem.yardstick.figures_of(targets, np.stack(accelerations_m_s2))
+    optima = [entry.designed.effect.lasting.acceleration_m_s2 for entry in entries]
+    return entries[0].problem.yardstick.figures_of(targets, np.stack(optima))
 
 
 def _clipped(entries: Sequence[Entry]) -> dict[int, tuple[FloatArray, FloatArray]]:
@@ -147,7 +149,7 @@ def _clipped(entries: Sequence[Entry]) -> dict[int, tuple[FloatArray, FloatArray
         problem = together[0].problem
         free = np.stack([entry.designed.unlimited_command for entry in together])
         commands = clipped_optimum(problem.stage, problem.grid, free, problem.limits.input_limit)
-        lasting = np.pad(commands, ((0, 0), (0, problem.grid.after_stages)))
+        lasting = np.concatenate([commands, np.zeros((len(together), problem.grid.after_stages))], axis=1)
         for entry, *rolled in zip(together, *problem.stage.rollout(lasting), strict=True):
             found[id(entry)] = rolled[0], rolled[1]
     return found
@@ -221,10 +223,12 @@ def plain(shown: Shown) -> dict[str, Any]:
 
 
 def _finite(value: Any) -> Any:
+    if isinstance(value, float):  # most values
+        return value if math.isfinite(value) else None
     if isinstance(value, Figures | Warm | Priced):
         value = vars(value)
     if isinstance(value, dict):
         return {name: _finite(each) for name, each in value.items()}
     if isinstance(value, tuple):
         return [_finite(each) for each in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+    return value
