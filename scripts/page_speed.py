@@ -2,15 +2,20 @@
 
     python scripts/page_speed.py
 
-It drags the slider of the current limit of `wood_on_foam`, with one tap and with all twelve: with single events, and
-with events as fast as the browser accepts them. It also measures the time from opening the address to the first
-picture. It needs the extra `page`, playwright and chromium. No test asserts these times.
+With the page in a process of its own, as `transopt page` has it, it drags the slider of the current limit of
+`wood_on_foam`, with one tap and with all twelve: with single events, and with events as fast as the browser accepts
+them. It also measures the time from opening the address to the first picture. It needs the extra `page`, playwright
+and chromium. No test asserts these times.
 """
 
 import math
 import shutil
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Annotated
 
@@ -24,6 +29,7 @@ from playwright.sync_api import Page as Tab
 from transopt.base.writing import table
 from transopt.scene.builtin import load_scene
 from transopt.scene.keys import with_values
+from transopt.scene.scene import Scene
 from transopt.web.serve import Page
 
 SCENE = "wood_on_foam"
@@ -53,6 +59,26 @@ class Came:
     single_ms: list[float]
     dragged_ms: list[float]
     per_s: float
+
+
+def _serve(scene: Scene, told: Connection) -> None:
+    page = Page(scene)
+    told.send(page.address)
+    page.serve()
+
+
+@contextmanager
+def served(scene: Scene) -> Iterator[str]:
+    """Serve a scene in another process, which does not wait for this one's interpreter, and yield its address."""
+    spawning = get_context("spawn")
+    told, tells = spawning.Pipe(duplex=False)
+    process = spawning.Process(target=_serve, args=(scene, tells))
+    process.start()
+    try:
+        yield told.recv()
+    finally:
+        process.terminate()
+        process.join()
 
 
 def measured(tab: Tab, address: str, taps: int, events: int) -> Came:
@@ -116,11 +142,11 @@ def script(
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which(chromium), args=["--no-sandbox"])
         for scene, taps in ((one, 1), (whole, 12)):
-            with Page(scene) as served:
+            with served(scene) as address:
                 tab = browser.new_page(viewport={"width": 1280, "height": 800})
-                rows.append(row(measured(tab, served.address, taps, events)))
+                rows.append(row(measured(tab, address, taps, events)))
                 if picture is not None:
-                    pictured(browser, served.address, picture)
+                    pictured(browser, address, picture)
                 tab.close()
         version = browser.version
         browser.close()
