@@ -21,6 +21,8 @@ for _name in ("starlette", "uvicorn", "websockets"):
 from transopt.web.serve import Page  # noqa: E402
 
 pytestmark = MARKS
+# The plots follow a window's new size in its next frame.
+DRAWN = "() => new Promise((drawn) => requestAnimationFrame(() => requestAnimationFrame(drawn)))"
 
 
 def test_scene_library_and_figure_are_saved_by_the_browser(window: Window, tmp_path: Path, small: Scene) -> None:
@@ -202,6 +204,7 @@ def test_nothing_is_hidden_or_wider_than_the_window(browser: Any) -> None:
         window = Window(browser, served.address)
         for width in (1280, 640, 400):  # twice as large on a screen of 1280 px is a window of 640
             window.tab.set_viewport_size({"width": width, "height": 800})
+            window.tab.evaluate(DRAWN)
             assert window.tab.evaluate("() => document.documentElement.scrollWidth") <= width
             assert window.tab.evaluate(cut) == []
         window.tab.close()
