@@ -8,9 +8,8 @@ checks and converts the columns of all formats.
 import io
 import math
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +49,7 @@ _SAVE_MAT = "save it in MATLAB with -v7"
 OF_A_LIBRARY = {"meta", "command", "speeds_m_s"}  # arrays that show that `transopt solve` wrote the file
 UNIVERSAL = (".uff", ".unv", ".u58")
 _AXES = "xyz"
+Arrays = Mapping[str, NDArray[Any]]
 # Fields of a structure that hold the unit of its other fields; the last is that of Simcenter Testlab.
 UNIT_FIELDS = ("unit", "units", "quantity.label")
 FULL_SCALES_G = (50.0, 10.0, 5.0, 100.0, 16.0, 2.0, 500.0, 1.0)  # full scales of common sensors and their recorders
@@ -160,18 +160,18 @@ def _from_variables(found: Channels, layout: Layout, words: Vocabulary) -> tuple
     -------
     The columns, and the sample rate that the file states in place of times.
     """
-    units, reads = layout.units or {}, _parted(found.values, words)
-    if words.absent(reads):
-        words = words.labelled(list(numeric(reads)))
+    units, arrays = layout.units or {}, _parted(found.values, words)
+    if words.absent(arrays):
+        words = words.labelled(list(numeric(arrays)))
     rate = None
-    if "time" in words.absent(reads) and (rate := found.rate or rate_of([], _scalars(reads))):
+    if "time" in words.absent(arrays) and (rate := found.rate or rate_of([], _scalars(arrays))):
         words = words.without_times()
-    chosen = layout.columns or _chosen(reads, words, units)
+    chosen = layout.columns or _chosen(arrays, words, units)
     wanted = [name for name in untimed(chosen, layout, words) if name != SKIPPED]
-    known = meanings(wanted, words, units, list(reads), lambda: numeric(reads))
+    known = meanings(wanted, words, units, list(arrays), lambda: numeric(arrays))
     columns = dict[str, FloatArray]()
     for name in wanted:
-        values = _column(reads[name], name, is_complex=known[name].quantity == "magnitude")
+        values = _column(arrays[name], name, is_complex=known[name].quantity == "magnitude")
         if not np.iscomplexobj(values):
             columns[name] = values
             continue
@@ -182,55 +182,53 @@ def _from_variables(found: Channels, layout: Layout, words: Vocabulary) -> tuple
         for part, of in (("real", values.real), ("imaginary", values.imag)):
             columns[f"{name} ({part} part)"] = np.asarray(of)
             known[f"{name} ({part} part)"] = means._replace(quantity=part)
-    header = {name: _column(reads[name], name) for name in words.header if name in reads}
+    header = {name: _column(arrays[name], name) for name in words.header if name in arrays}
     return RawTable(columns, known, header, found.place), rate
 
 
-def _chosen(reads: Mapping[str, Callable[[], object]], words: Vocabulary, units: Mapping[str, str]) -> list[str]:
+def _chosen(arrays: Arrays, words: Vocabulary, units: Mapping[str, str]) -> list[str]:
     """The variables that are columns: those with a unit in their name or a stated unit, and others that are required.
 
     Raises
     ------
     UnclearError : the unit of a response is not stated.
     """
-    candidates = [name for name in reads if name not in words.header]
+    candidates = [name for name in arrays if name not in words.header]
     known = [name for name in candidates if words.quantity_of(name) is not None]
     chosen = [name for name in candidates if words.is_meant(name) or apart(name)[1] or stated_for(name, words, units)]
     if not set(chosen) <= set(known):
-        vectors = numeric(reads)
+        vectors = numeric(arrays)
         chosen = [name for name in chosen if name in known or name in vectors]
     if "magnitude" in words.quantities:
-        _refuse_unstated(reads, [name for name in candidates if name not in chosen], words, chosen)
+        _refuse_unstated(arrays, [name for name in candidates if name not in chosen], words, chosen)
     if chosen and (absent := words.absent(chosen)):
-        chosen += [name for name in numeric(reads) if words.quantity_of(name) in absent]
+        chosen += [name for name in numeric(arrays) if words.quantity_of(name) in absent]
     # If no name has a unit, names with a meaning are returned, and their units are asked for.
     return chosen or known or candidates
 
 
-def _scalars(reads: Mapping[str, Callable[[], object]]) -> list[str]:
+def _scalars(arrays: Arrays) -> list[str]:
     """The variables that hold one number, as `name = value` lines."""
     found = list[str]()
-    for name in reads:
+    for name, array in arrays.items():
         with suppress(InputError):
-            values = _column(reads[name], name).real
+            values = _column(array, name).real
             if values.size == 1:
                 found.append(f"{apart(name)[0]} = {values[0]:.17g}")
     return found
 
 
-def numeric(reads: Mapping[str, Callable[[], object]]) -> dict[str, FloatArray]:
+def numeric(arrays: Arrays) -> dict[str, FloatArray]:
     """The variables that are rows or columns of real numbers, of the greatest length among them."""
     found = dict[str, FloatArray]()
-    for name in reads:
+    for name, array in arrays.items():
         with suppress(InputError):
-            found[name] = _column(reads[name], name).real
+            found[name] = _column(array, name).real
     longest = max((values.size for values in found.values()), default=0)
     return {name: values for name, values in found.items() if values.size == longest}
 
 
-def _refuse_unstated(
-    reads: Mapping[str, Callable[[], object]], names: Sequence[str], words: Vocabulary, chosen: Sequence[str]
-) -> None:
+def _refuse_unstated(arrays: Arrays, names: Sequence[str], words: Vocabulary, chosen: Sequence[str]) -> None:
     """Ask for the unit of a complex array, since a complex array is most likely a response.
 
     Parameters
@@ -243,22 +241,20 @@ def _refuse_unstated(
     """
     is_known = any(words.quantity_of(name) == "frequency" for name in chosen)
     for name in names:
-        with guarded(f"variable {name} is not readable", _SAVE_NPZ):
-            found = np.iscomplexobj(np.asarray(reads[name]()))
-        if found:
+        if np.iscomplexobj(arrays[name]):
             raise UnclearError(
                 f"variable {name} is complex, as a response is, and nothing states its unit",
                 [{"units": {**({} if is_known else {"frequency": "Hz"}), name: of}} for of in known_units("real")],
             )
 
 
-def _parted(named: Mapping[str, object], words: Vocabulary) -> dict[str, Callable[[], object]]:
-    """Reader of each variable, by its name within a structure if that is unique; the rows of a matrix become columns.
+def _parted(named: Mapping[str, object], words: Vocabulary) -> dict[str, NDArray[Any]]:
+    """The variables, by their names within a structure if these are unique; the rows of a matrix become columns.
 
     A matrix of three rows that is an acceleration becomes the axes x, y and z.
     """
     short = Counter(name.rpartition(".")[2] for name in named)
-    found: dict[str, Callable[[], object]] = {}
+    found: dict[str, NDArray[Any]] = {}
     for name in named:
         above, _, last = name.rpartition(".")
         key = last if short[last] == 1 else name
@@ -266,11 +262,10 @@ def _parted(named: Mapping[str, object], words: Vocabulary) -> dict[str, Callabl
         is_other = isinstance(unit, str) and words.quantity_of(key) == "time" and read_unit(unit, "time") is None
         if isinstance(unit, str) and is_unit(unit) and apart(key)[1] is None and not is_other:
             key = labelled(key, unit)
-        found[key] = partial(named.__getitem__, name)
+        with guarded(f"variable {name} is not readable", _SAVE_NPZ):  # NPZ reads a variable on access
+            values = found[key] = np.asarray(named[name])
         if key in words.header:
             continue
-        with guarded(f"variable {name} is not readable", _SAVE_NPZ):
-            values = np.asarray(named[name])
         rows = values if values.ndim == 2 and values.shape[0] < values.shape[1] else values.T
         if values.ndim == 2 and values.dtype.kind in "iuf" and 1 < rows.shape[0] <= MOST_CHOICES < rows.shape[1]:
             is_sensor = rows.shape[0] == len(_AXES) and words.quantity_of(key) == "acceleration"
@@ -278,13 +273,11 @@ def _parted(named: Mapping[str, object], words: Vocabulary) -> dict[str, Callabl
             del found[key]
             columns = _AXES if is_sensor else map(str, range(1, rows.shape[0] + 1))
             for k, which in enumerate(columns):
-                found[labelled(f"{base} {which}", unit)] = partial(rows.__getitem__, k)
+                found[labelled(f"{base} {which}", unit)] = rows[k]
     return dict(zip(with_axes(list(found)), found.values(), strict=True))
 
 
-def _column(read: Callable[[], object], name: str, *, is_complex: bool = False) -> NDArray[Any]:
-    with guarded(f"variable {name} is not readable", _SAVE_NPZ):  # NPZ reads a variable on access
-        values = np.asarray(read())
+def _column(values: NDArray[Any], name: str, *, is_complex: bool = False) -> NDArray[Any]:
     if values.dtype.kind not in ("iufc" if is_complex else "iuf") or values.size != max(values.shape, default=1):
         found = f"{quote(str(values.dtype))} of shape {values.shape}"
         raise InputError(f"variable {name} is {found}: must be one row or column of real numbers; convert it")
