@@ -9,7 +9,7 @@ from transopt.base.errors import InputError
 from transopt.base.signals import Signal
 from transopt.files.names import Layout, Scalar, Vocabulary
 from transopt.recordings.axes import read_signals
-from transopt.recordings.split import bounds, chosen, peak_times
+from transopt.recordings.split import pieces
 
 WORDS = Vocabulary(
     columns=(
@@ -97,6 +97,10 @@ class Measurement:
         made: dict[str, Any] = {quantity: change(quantity, x) for quantity, x in recorded.items() if x is not None}
         return replace(self, **made)
 
+    def part(self, first: int, end: int) -> "Measurement":
+        """A copy with the samples from `first` up to, but not including, `end`."""
+        return self.changed(lambda _, x: x.part(first, end))
+
 
 def load_measurements(paths: Sequence[Path], layout: Layout | None = None) -> list[Measurement]:
     """Load several runs, each file once: a duplicate would count twice in a fit and would not validate anything.
@@ -141,17 +145,9 @@ def split_taps(runs: Sequence[Measurement], wanted: Sequence[int] = ()) -> list[
     """
     found = []
     for run in runs:
-        force = run.require("force", "force_N")
-        pieces = bounds(force)
-        times_s = peak_times(force, pieces)
-        for number in chosen(run.name, len(pieces), times_s, {"*": wanted} if wanted else {}):
-            tap = replace(_part(run, *pieces[number - 1]), name=f"{run.name}#{number}")
-            found.append(run if len(pieces) == 1 else tap)
+        for tap in pieces(run.name, run.require("force", "force_N"), {"*": wanted} if wanted else {}):
+            found.append(replace(run.part(tap.first, tap.end), name=tap.name))
     return found
-
-
-def _part(run: Measurement, first: int, end: int) -> Measurement:
-    return run.changed(lambda _, x: x.part(first, end))
 
 
 def load_measurement(path: Path, layout: Layout | None = None) -> Measurement:

@@ -50,18 +50,13 @@ def _crossings(values: FloatArray, before: IntArray, levels: FloatArray) -> Floa
     return np.where(j < 0, 0.0, j + (levels - low) / rise)
 
 
-def find_onset(x: Signal) -> float:
-    """Contact time of a tap without offset and with positive polarity [s].
+def find_onsets(signals: Sequence[Signal]) -> list[float]:
+    """Contact times of taps without offset and with positive polarity [s].
 
     The line through the 10 % and 30 % points (of the highest peak) of the first rise is extrapolated to zero. A
     threshold alone would be late by a part of the rise, and an error of one servo tick costs 8 %. The highest peak
     need not be the first.
     """
-    return find_onsets([x])[0]
-
-
-def find_onsets(signals: Sequence[Signal]) -> list[float]:
-    """`find_onset` of each signal."""
     found = np.empty(len(signals))
     for numbers, values in alike(signals, TAPS_AT_ONCE):
         x, height = signals[numbers[0]], values.max(axis=1)

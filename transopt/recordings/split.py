@@ -8,13 +8,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.filters import highpass
-from transopt.base.signals import FloatArray, Signal, alike, medians
+from transopt.base.signals import Signal, alike, medians
 from transopt.recordings.recording import Recording
 
 PAUSE_S = 0.1  # between two taps: a rebound comes sooner and belongs to its tap; no hand taps that fast
@@ -41,7 +41,7 @@ def bounds(x: Signal) -> list[tuple[int, int]]:
     quick = highpass(replace(x, values=x.values - rest), SLOWEST_HZ).values
     # A released force or a lifted stylus moves in the opposite direction of a tap.
     quick = quick * np.sign(quick[np.argmax(np.abs(quick))])
-    loud = np.flatnonzero(quick > max(LEAST_SHARE * float(quick.max()), LEAST_TO_NOISE * white_noise(x)))
+    loud = np.flatnonzero(quick > max(LEAST_SHARE * float(quick.max()), LEAST_TO_NOISE * white_noises([x])[0]))
     if loud.size == 0:
         return whole
     breaks = np.flatnonzero(np.diff(loud) > PAUSE_S / x.dt_s)
@@ -50,13 +50,8 @@ def bounds(x: Signal) -> list[tuple[int, int]]:
     return list(zip([0, *cuts], [*cuts, x.values.size], strict=True))
 
 
-def white_noise(x: Signal) -> float:
-    """Rms of the white noise in a recording, from its differences, to which the smooth tap adds little."""
-    return white_noises([x])[0]
-
-
 def white_noises(signals: Sequence[Signal]) -> list[float]:
-    """`white_noise` of each signal."""
+    """Rms of the white noise in recordings, from their differences, to which the smooth tap adds little."""
     found = np.empty(len(signals))
     for numbers, values in alike(signals, TAPS_AT_ONCE):
         steps = values[:, 1:] - values[:, :-1]
@@ -65,27 +60,44 @@ def white_noises(signals: Sequence[Signal]) -> list[float]:
     return list(map(float, found))
 
 
-def peak_times(x: Signal, pieces: Sequence[tuple[int, int]]) -> FloatArray:
-    """(n,) time of the largest deviation from rest in each piece [s]."""
-    away = np.abs(x.values - np.median(x.values))
-    return np.array([x.start_s + x.dt_s * (first + int(np.argmax(away[first:end]))) for first, end in pieces])
+class Piece(NamedTuple):
+    """One tap of a file.
+
+    Attributes
+    ----------
+    name : name of the tap: that of the file, with the tap's number if there are several.
+    number, count : number of the tap from 1, and how many the file has.
+    first, end : its samples.
+    peak_s : time of its largest deviation from rest.
+    """
+
+    name: str
+    number: int
+    count: int
+    first: int
+    end: int
+    peak_s: float
 
 
-def chosen(name: str, count: int, times_s: FloatArray, wanted: Mapping[str, Sequence[int]]) -> list[int]:
-    """Numbers of the taps to take from a file, from 1: all, unless a pattern that matches its name selects some.
+def pieces(name: str, x: Signal, wanted: Mapping[str, Sequence[int]]) -> list[Piece]:
+    """The taps to take from a file: all, unless a pattern that matches its name selects some by number, from 1.
 
     Raises
     ------
     InputError : the file does not have a selected tap.
     """
+    parts, away = bounds(x), np.abs(x.values - np.median(x.values))
+    count = len(parts)
+    peaks_s = [x.start_s + x.dt_s * (first + int(np.argmax(away[first:end]))) for first, end in parts]
     own = [taps for pattern, taps in wanted.items() if fnmatchcase(name, pattern)]
     numbers = sorted({number for taps in own for number in taps}) if own else list(range(1, count + 1))
     beyond = [number for number in numbers if number > count]
     if beyond:
-        at = ", ".join(f"{time:.4g}" for time in times_s)
+        at = ", ".join(f"{time:.4g}" for time in peaks_s)
         has = f"{count} tap{'s' * (count > 1)}, at {at} s"
         raise InputError(f"{name}: tap {beyond[0]} is not there, the file has {has}: choose 1 to {count}")
-    return numbers
+    called = [f"{name}#{n}" if count > 1 else name for n in numbers]
+    return [Piece(one, n, count, *parts[n - 1], peaks_s[n - 1]) for one, n in zip(called, numbers, strict=True)]
 
 
 def split(recording: Recording, wanted: Mapping[str, Sequence[int]]) -> list[Recording]:
@@ -99,19 +111,15 @@ def split(recording: Recording, wanted: Mapping[str, Sequence[int]]) -> list[Rec
     ------
     InputError : the file does not have a selected tap.
     """
-    pieces = bounds(recording.acceleration)
-    times_s = peak_times(recording.acceleration, pieces)
-    numbers = chosen(recording.name, len(pieces), times_s, wanted)
-    if len(pieces) == 1:
-        return [recording]
-    signals = {name: getattr(recording, name) for name in SIGNALS}
     found = []
-    for number in numbers:
-        first, end = pieces[number - 1]
+    for tap in pieces(recording.name, recording.acceleration, wanted):
+        if tap.count == 1:
+            return [recording]
         cut: dict[str, Any] = {
-            name: None if signal is None else signal.part(first, end) for name, signal in signals.items()
+            name: signal.part(tap.first, tap.end)
+            for name in SIGNALS
+            if (signal := getattr(recording, name)) is not None
         }
-        note = f"tap {number} of {len(pieces)} in {recording.name}, peak at {times_s[number - 1]:.4g} s"
-        named = f"{recording.name}#{number}"
-        found.append(replace(recording, name=named, notes=(*recording.notes, note), **cut))
+        note = f"tap {tap.number} of {tap.count} in {recording.name}, peak at {tap.peak_s:.4g} s"
+        found.append(replace(recording, name=tap.name, notes=(*recording.notes, note), **cut))
     return found

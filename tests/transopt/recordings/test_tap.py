@@ -8,7 +8,7 @@ import pytest
 from tests.benches.pulses import pulse
 from transopt.base.errors import InputError
 from transopt.base.signals import Signal
-from transopt.recordings.onset import find_onset
+from transopt.recordings.onset import find_onsets
 from transopt.recordings.recording import Recording
 from transopt.recordings.settings import Recordings
 from transopt.recordings.tap import prepare, prepare_all, read_recordings
@@ -180,7 +180,7 @@ def test_files_are_found_by_pattern_and_a_missing_folder_is_named(tmp_path) -> N
 
 
 def test_onset_of_a_signal_that_starts_high() -> None:
-    assert find_onset(Signal(1.0, 1e-3, np.array([5.0, 10.0, 3.0, 1.0]))) == 1.0
+    assert find_onsets([Signal(1.0, 1e-3, np.array([5.0, 10.0, 3.0, 1.0]))]) == [1.0]
 
 
 def test_speeds_by_file_name(tmp_path) -> None:

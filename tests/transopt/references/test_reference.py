@@ -11,7 +11,7 @@ from transopt.base.errors import InputError
 from transopt.base.filters import highpass
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal, nrmse
 from transopt.plant.time_grid import TimeGrid
-from transopt.recordings.onset import find_onset
+from transopt.recordings.onset import find_onsets
 from transopt.recordings.recording import Recording
 from transopt.recordings.settings import Recordings
 from transopt.recordings.tap import prepare
@@ -220,7 +220,7 @@ class TestSoftPulses:
     def test_contact_is_where_the_pulse_begins(self, toe_s: float, noise: float) -> None:
         """The energy of the pulse is played: none of it lies before tau_0."""
         recording = self.soft(toe_s, noise)
-        steep = find_onset(recording.acceleration)
+        steep = find_onsets([recording.acceleration])[0]
         tap = prepare(recording, SETTINGS)
         assert steep == pytest.approx(0.03 + toe_s, abs=2e-4)
         assert tap.onset_s == pytest.approx(0.03, abs=1.2e-3)
