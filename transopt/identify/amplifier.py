@@ -21,7 +21,6 @@ from transopt.identify.checks import (
     check_bins,
     check_cycles,
     check_measurement,
-    check_rates,
     check_sign,
     low_coherence,
     swept_from,
@@ -31,7 +30,14 @@ from transopt.identify.findings import COHERENT, Check, Finding, refuse
 from transopt.identify.fit import Fit, intervals_around, known
 from transopt.identify.likelihood import Likelihood, Maximum
 from transopt.identify.measurement import Measurement
-from transopt.identify.spectrum import TransferEstimate, Trial, condense_trials, estimate_transfer, transfer
+from transopt.identify.spectrum import (
+    TransferEstimate,
+    Trial,
+    check_rates,
+    condense_trials,
+    estimate_transfer,
+    transfer,
+)
 
 PARAMETERS = ("pole_Hz", "delay_s", "gain")
 LEAST_BINS = 12

@@ -32,7 +32,6 @@ REST_SAMPLES, END_NOISES = 20, 5.0  # number of first samples; largest end of a 
 GRAVITY_TOLERANCE = 0.25  # relative error of a nominal model's gain; no other cause changes a gain tenfold
 AGAINST = 0.5  # polarity is wrong if the reversed record has less than this share of the misfit of a passive device
 PASSIVE_BAND_HZ = (2.0, 150.0)  # where motor and stylus of such a device move as one
-RATE_TOLERANCE = 1e-4
 UNITS = {"command": "A", "current": "A", "voltage": "V", "acceleration": "m/s^2"}  # of the signals that are checked
 LEAST_STRETCH = 3  # bins in a stretch of low coherence that is reported
 GRIP_STEP_N = 0.25  # trials whose grips are closer than this count as one grip
@@ -119,16 +118,6 @@ def flat_extreme(values: FloatArray) -> NDArray[np.intp]:
     below = max(CROWD * top, 4.5 * quantum)
     crowd = int(np.count_nonzero((values < top) & (values >= top - below)))
     return at if at.size > crowd else np.zeros(0, dtype=np.intp)
-
-
-def check_rates(trials: Sequence[Trial]) -> list[Finding]:
-    """Find trials whose sampling rate differs from that of the first."""
-    rate, first = trials[0].input.rate_Hz, trials[0].name
-    return [
-        Check.RATES.at(trial.name, rate_Hz=trial.input.rate_Hz, first=first, wanted_Hz=rate)
-        for trial in trials
-        if not np.isclose(trial.input.rate_Hz, rate, rtol=RATE_TOLERANCE, atol=0)
-    ]
 
 
 def cycles_per_octave(trials: Sequence[Trial], frequencies_Hz: FloatArray) -> FloatArray:

@@ -16,9 +16,9 @@ from transopt.identify.measurement import Measurement, sources
 LEVEL = 0.95  # confidence level of all intervals
 
 
-def quantile(degrees: float = np.inf) -> float:
-    """Half width of a 95 % interval in standard deviations, by Student's distribution with so many degrees."""
-    return float(special.stdtrit(degrees, (1 + LEVEL) / 2))
+def quantile(degrees: FloatArray | float = np.inf) -> FloatArray:
+    """Half width of a 95 % interval in standard deviations, by Student's distribution with so many degrees (...)."""
+    return np.asarray(special.stdtrit(degrees, (1 + LEVEL) / 2))
 
 
 def intervals_around(values: FloatArray, covariance: FloatArray, degrees: float = np.inf) -> FloatArray:

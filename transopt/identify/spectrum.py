@@ -4,15 +4,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from scipy import special
 
 from transopt.base.errors import InputError
 from transopt.base.signals import ComplexArray, FloatArray, Signal
 from transopt.identify.condensed import Condensed, condense, pooled, summed_around
+from transopt.identify.findings import Check, Finding, refuse
+from transopt.identify.fit import LEVEL, quantile
 
 OCTAVES_OF_SPREAD = 0.5  # to either side of a bin over which the scatter between trials is averaged
 SCATTERED = 1.5  # total variance over that within trials above which the number of trials sets the degrees of freedom
-LEVEL = 0.95
+RATE_TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,16 @@ class Trial:
             )
         if np.ptp(given.values) == 0:
             raise InputError(f"{self.name}: the input stays at {given.values[0]:g}: no excitation; play the sweep")
+
+
+def check_rates(trials: Sequence[Trial]) -> list[Finding]:
+    """Find trials whose sampling rate differs from that of the first."""
+    rate, first = trials[0].input.rate_Hz, trials[0].name
+    return [
+        Check.RATES.at(trial.name, rate_Hz=trial.input.rate_Hz, first=first, wanted_Hz=rate)
+        for trial in trials
+        if not np.isclose(trial.input.rate_Hz, rate, rtol=RATE_TOLERANCE, atol=0)
+    ]
 
 
 @dataclass(frozen=True)
@@ -83,7 +94,7 @@ class TransferEstimate:
 
     def half_width(self) -> FloatArray:
         """(m,) half width of the `LEVEL` interval of any one component of the response, magnitude included."""
-        return np.asarray(self.deviation * special.stdtrit(self.degrees, (1 + LEVEL) / 2))
+        return np.asarray(self.deviation * quantile(self.degrees))
 
     def magnitude_band(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper end of the pointwise `LEVEL` interval of the magnitude, (m,) each."""
@@ -131,14 +142,9 @@ def condense_trials(trials: Sequence[Trial]) -> Condensed:
     """
     if not trials:
         raise InputError("no trial at all; record at least one sweep")
-    dt_s = trials[0].input.dt_s
-    for trial in trials:
-        if not np.isclose(trial.input.dt_s, dt_s, rtol=1e-4, atol=0):
-            raise InputError(
-                f"{trial.name}: {trial.input.rate_Hz:.6g} Hz, {trials[0].name} {trials[0].input.rate_Hz:.6g} Hz: "
-                "must be one rate; record all trials at the servo's"
-            )
-    return condense([trial.input.values for trial in trials], [trial.output.values[None] for trial in trials], dt_s)
+    refuse(check_rates(trials))
+    inputs, outputs = ([getattr(trial, part).values for trial in trials] for part in ("input", "output"))
+    return condense(inputs, [one[None] for one in outputs], trials[0].input.dt_s)
 
 
 def estimate_transfer(trials: Sequence[Trial]) -> TransferEstimate:

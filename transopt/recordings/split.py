@@ -66,14 +66,14 @@ class Piece(NamedTuple):
     Attributes
     ----------
     name : name of the tap: that of the file, with the tap's number if there are several.
-    number, count : number of the tap from 1, and how many the file has.
+    number, taps : number of the tap from 1, and how many the file has.
     first, end : its samples.
     peak_s : time of its largest deviation from rest.
     """
 
     name: str
     number: int
-    count: int
+    taps: int
     first: int
     end: int
     peak_s: float
@@ -113,13 +113,13 @@ def split(recording: Recording, wanted: Mapping[str, Sequence[int]]) -> list[Rec
     """
     found = []
     for tap in pieces(recording.name, recording.acceleration, wanted):
-        if tap.count == 1:
+        if tap.taps == 1:
             return [recording]
         cut: dict[str, Any] = {
             name: signal.part(tap.first, tap.end)
             for name in SIGNALS
             if (signal := getattr(recording, name)) is not None
         }
-        note = f"tap {tap.number} of {tap.count} in {recording.name}, peak at {tap.peak_s:.4g} s"
+        note = f"tap {tap.number} of {tap.taps} in {recording.name}, peak at {tap.peak_s:.4g} s"
         found.append(replace(recording, name=tap.name, notes=(*recording.notes, note), **cut))
     return found

@@ -13,7 +13,7 @@ from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
 from transopt.identify import checks
 from transopt.identify.findings import Fault, Finding, refuse
 from transopt.identify.measurement import Measurement, load_measurement
-from transopt.identify.spectrum import TransferEstimate, Trial, estimate_transfer
+from transopt.identify.spectrum import TransferEstimate, Trial, check_rates, estimate_transfer
 
 ALL = ("command", "current", "acceleration")
 
@@ -59,7 +59,7 @@ def test_good_records_of_a_device_raise_nothing(columns: dict, grip_N: float) ->
     trials = [
         Trial("t", Signal(0.0, DT_S, c["current_A"]), Signal(0.0, DT_S, c["current_A"])) for c in columns[grip_N]
     ]
-    assert checks.check_rates(trials) == []
+    assert check_rates(trials) == []
     assert checks.check_cycles("grip", trials, estimate, 2.0) == []
     assert checks.check_gravity("grip", estimate, 1.3 * np.abs(estimate.response), "the model") == []
     assert checks.low_coherence("grip", estimate.between(10, 1000)) == []
@@ -101,7 +101,7 @@ def test_cycles_are_counted_as_they_were_played() -> None:
 def test_rates_that_differ() -> None:
     good = amplifier_trial(1)
     slow = Trial("slow", replace(good.input, dt_s=2e-4), replace(good.output, dt_s=2e-4))
-    message = only(checks.check_rates([good, slow]), Fault.RATES, fatal=True)
+    message = only(check_rates([good, slow]), Fault.RATES, fatal=True)
     assert (
         message
         == "slow: rates that differ: 5000 Hz, trial 1 10000 Hz: must be one rate; record all trials at the servo's"

@@ -180,7 +180,7 @@ def test_bad_trials_are_refused_in_one_line() -> None:
     with pytest.raises(InputError, match="no trial at all"):
         estimate_transfer([])
     slow = Signal(0.0, 2 * DT_S, command)
-    with pytest.raises(InputError, match="b: 5000 Hz, a 10000 Hz: must be one rate"):
+    with pytest.raises(InputError, match="b: rates that differ: 5000 Hz, a 10000 Hz: must be one rate"):
         estimate_transfer([Trial("a", good, good), Trial("b", slow, slow)])
     short = Signal(0.0, DT_S, command[:4])
     with pytest.raises(InputError, match=r"records of 0.0004 s are too short"):

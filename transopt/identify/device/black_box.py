@@ -16,7 +16,7 @@ from transopt.identify.device.chain import GripResponse
 from transopt.identify.device.response import Instrument, Slope, sampled_response
 from transopt.identify.response_fit import at_rest, least_width, vector_fit
 from transopt.identify.squares import Squares
-from transopt.plant.state_space import StateSpace
+from transopt.plant.state_space import StateSpace, blended
 
 ORDERS = (2, 4, 6, 8, 10)  # tried in turn if the user states none, as long as the criterion falls
 HIGHEST_ORDER = 20
@@ -55,8 +55,8 @@ class BlackBox:
         """Number of states of each plant."""
         return self.plants[0].order
 
-    def shares(self, grip_N: float) -> list[tuple[StateSpace, float]]:
-        """The plants blended at a grip, with the weights of their outputs; held and free devices are never blended.
+    def plant(self, grip_N: float) -> StateSpace:
+        """The plant at a grip, blended between recorded ones; held and free devices are never blended.
 
         Raises
         ------
@@ -68,9 +68,13 @@ class BlackBox:
             raise InputError(f"grip {grip_N:g} N: outside the recorded grips {grips} N; record it")
         after = next(j for j, grip in enumerate(grips) if grip >= grip_N)
         if grips[after] == grip_N:
-            return [(self.plants[held[after]], 1.0)]
+            return self.plants[held[after]]
         part = (grip_N - grips[after - 1]) / (grips[after] - grips[after - 1])
-        return [(self.plants[held[after - 1]], 1 - part), (self.plants[held[after]], part)]
+        return blended(self.plants[held[after - 1]], self.plants[held[after]], part)
+
+    def variance(self, one: GripResponse) -> FloatArray:
+        """(m,) variance E|.|^2 of the fitted response, which 2 x order unknowns are taken to spread over all bins."""
+        return np.asarray(2 * one.deviation**2 * self.order / one.deviation.size)
 
     def without(self, grip_N: float) -> "BlackBox":
         """A copy without the model of one grip, which blends the neighbours' models there instead."""

@@ -72,10 +72,6 @@ class DriveChain:
         factor = force_per_current_N_A / self.force_per_current_N_A
         return DriveChain(force_per_current_N_A, self.shared * factor, self.hand * factor)
 
-    def shares(self, grip_N: float) -> list[tuple[StateSpace, float]]:
-        """The plant of a grip with weight one: the interface of `BlackBox.shares`, which may blend several plants."""
-        return [(self.plant(grip_N), 1.0)]
-
 
 def chain_of(parameters: FloatArray, force_per_current_N_A: float) -> StateSpace:
     """The plant of (9,) parameters, or of (4,) for the free device."""

@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from transopt.base.errors import InputError
-from transopt.base.signals import FloatArray
-from transopt.identify.checks import begun_late, by_grip, check_rates, within
+from transopt.identify.checks import begun_late, by_grip, within
 from transopt.identify.device.black_box import BlackBox, fit_black_box
 from transopt.identify.device.chain import DriveChain, GripResponse
 from transopt.identify.device.chain_fit import (
@@ -56,7 +55,7 @@ from transopt.identify.device.validation import (
 )
 from transopt.identify.findings import COHERENT, Finding
 from transopt.identify.measurement import Measurement
-from transopt.identify.spectrum import Trial
+from transopt.identify.spectrum import Trial, check_rates
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.state_space import StateSpace
 from transopt.scene.model_error import ModelError
@@ -213,12 +212,18 @@ def _candidates(
     records: Records, chain: ChainFit | None, box: BlackBox | None, tick: Callable[[str], None]
 ) -> list[Candidate]:
     """The validated models, the better one first."""
-    found = []
+    measured, found = _measured(records), []
     if chain is not None:
-        found.append(_validated_chain(chain, records, _measured(records)))
+        error = model_error(measured, chain.device, chain.instrument, lambda one: response_variance(chain, one))
+
+        def refitted(grip_N: float) -> Model:
+            return refit(chain, [one for one in measured if one.grip_N != grip_N]).device
+
+        found.append(_validated(Kind.DRIVE, chain.device, chain.instrument, refitted, records, error))
         tick("validation")
     if box is not None:
-        found.append(_validated_box(box, records, _measured(records)))
+        error = model_error(measured, box, records.instrument, lambda one: (box.variance(one),) * 2)
+        found.append(_validated(Kind.STATE_SPACE, box, records.instrument, box.without, records, error))
         tick("validation")
     return found[::-1] if len(found) > 1 and found[1].off < PREFERENCE * found[0].off else found
 
@@ -288,24 +293,3 @@ def _validated(
         error=error,
         off=relative(error, [grip.response for grip in grips]),
     )
-
-
-def _validated_chain(fit: ChainFit, records: Records, measured: Sequence[GripResponse]) -> Candidate:
-    """The validated drive chain; at inner grips it is refitted without them, starting from this fit."""
-
-    def without(grip_N: float) -> Model:
-        return refit(fit, [one for one in measured if one.grip_N != grip_N]).device
-
-    error = model_error(measured, fit.device, fit.instrument, lambda one: response_variance(fit, one))
-    return _validated(Kind.DRIVE, fit.device, fit.instrument, without, records, error)
-
-
-def _validated_box(box: BlackBox, records: Records, measured: Sequence[GripResponse]) -> Candidate:
-    """The validated black box; its 2 x order unknowns are taken to spread their variance evenly over the bins."""
-
-    def variance(one: GripResponse) -> tuple[FloatArray, FloatArray]:
-        known = 2 * one.deviation**2 * box.order / one.deviation.size
-        return known, known
-
-    error = model_error(measured, box, records.instrument, variance)
-    return _validated(Kind.STATE_SPACE, box, records.instrument, box.without, records, error)

@@ -19,7 +19,6 @@ from transopt.identify.checks import (
     check_grips,
     check_measurement,
     check_passive,
-    check_rates,
     check_unit,
     runs_of,
     within,
@@ -36,7 +35,7 @@ from transopt.identify.device.response import (
 )
 from transopt.identify.findings import COHERENT, Check, Finding, refuse
 from transopt.identify.measurement import Measurement
-from transopt.identify.spectrum import TransferEstimate, Trial, transfer
+from transopt.identify.spectrum import TransferEstimate, Trial, check_rates, transfer
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.state_space import StateSpace
 

@@ -40,9 +40,9 @@ WORTHLESS = 0.5  # predicted relative error of a tap from which on a model suppo
 
 
 class Model(Protocol):
-    """A model that gives plants and their weights at a grip; see `BlackBox.shares`."""
+    """A model that gives the plant at a grip: `DriveChain` or `BlackBox`."""
 
-    def shares(self, grip_N: float) -> list[tuple[StateSpace, float]]: ...
+    def plant(self, grip_N: float) -> StateSpace: ...
 
 
 @dataclass(frozen=True)
@@ -64,10 +64,7 @@ class Transient:
 
 def modelled(model: Model, grip_N: float, instrument: Instrument, frequencies_Hz: FloatArray) -> ComplexArray:
     """(m,) response of a model at a grip: sampled acceleration over sampled current [m/s^2/A]."""
-    blended = np.zeros(frequencies_Hz.size, dtype=complex)
-    for plant, weight in model.shares(grip_N):
-        blended += weight * sampled_response(plant, instrument, frequencies_Hz)[0]
-    return blended
+    return sampled_response(model.plant(grip_N), instrument, frequencies_Hz)[0]
 
 
 def through(

@@ -129,7 +129,7 @@ class FourthOrderFit(Fit):
                 f"{100 * MOST_MISSED:.0f} %): hold the stylus alike in all taps, and record {LEAST_TAPS} or more",
             ]
         grip_N, deviation = max(known_to(self.part()).items(), key=lambda one: one[1])
-        unknown = quantile() * deviation
+        unknown = float(quantile()) * deviation
         if not unknown <= MOST_UNKNOWN:
             found.append(
                 f"how this hand answers a tap at {grip_N:.2g} N is known to {100 * unknown:.0f} % (at most "

@@ -61,13 +61,15 @@ def test_whatever_the_order_the_model_is_stable_real_and_stands_still_under_a_co
 def test_between_grips_the_neighbours_blend_and_free_never_mixes_with_held() -> None:
     plants = tuple(DEFAULT.plant(grip) for grip in (1.0, 3.0, 5.0))
     box = BlackBox((1.0, 3.0, 5.0), plants, np.ones(3), 0.0)
-    assert box.shares(3.0) == [(plants[1], 1.0)]
-    assert box.shares(3.5) == [(plants[1], pytest.approx(0.75)), (plants[2], pytest.approx(0.25))]
-    assert box.without(3.0).shares(3.0) == [(plants[0], pytest.approx(0.5)), (plants[2], pytest.approx(0.5))]
+    assert box.plant(3.0) is plants[1]
+    frequencies = np.geomspace(2, 800, 50)
+    low, middle, high = (plant.response(frequencies) for plant in plants)
+    np.testing.assert_allclose(box.plant(3.5).response(frequencies), 0.75 * middle + 0.25 * high, rtol=1e-9)
+    np.testing.assert_allclose(box.without(3.0).plant(3.0).response(frequencies), (low + high) / 2, rtol=1e-9)
     with pytest.raises(InputError, match="grip 0 N: outside the recorded grips"):
-        box.shares(0.0)
+        box.plant(0.0)
     with pytest.raises(InputError, match="grip 6 N"):
-        box.shares(6.0)
+        box.plant(6.0)
 
 
 @pytest.mark.parametrize("order", [3, 0, 22])
