@@ -5,6 +5,7 @@ denominator: a type, three exponents, the axis' label and the label of its unit.
 in g per V as often as in SI, and states the unit only there. In a binary dataset, 58b, these records are text too.
 """
 
+import io
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -128,26 +129,17 @@ def _chosen(functions: Sequence[_Dataset], channel: int | None, *, is_response: 
 
 def _datasets(data: bytes) -> list[_Dataset]:
     """All datasets of a file: each stands between two lines of -1, and a binary one states its length."""
-    found, at = list[_Dataset](), 0
-
-    def line() -> bytes | None:
-        nonlocal at
-        if at >= len(data):
-            return None
-        end = data.find(b"\n", at)
-        start, at = at, len(data) if end < 0 else end + 1
-        return data[start:at].rstrip(b"\r\n")
-
-    while (begin := line()) is not None:
+    found, stream = list[_Dataset](), io.BytesIO(data)
+    while begin := stream.readline():
         if begin.rstrip() != MARK:
             continue
-        words = (line() or b"").decode("latin-1").split()
+        words = stream.readline().decode("latin-1").split()
         kind, lines, packed, order = words[0] if words else "", list[str](), b"", "<"
         if kind == "58b":
-            lines = [_decoded(line() or b"") for _ in range(HEAD_LINES)]
+            lines = [_decoded(stream.readline()) for _ in range(HEAD_LINES)]
             size = int(words[4]) if len(words) > 4 and words[4].isdecimal() else 0
-            packed, order, at = data[at : at + size], ">" if words[1:2] == ["2"] else "<", at + size
-        while (each := line()) is not None and each.rstrip() != MARK:
+            packed, order = stream.read(size), ">" if words[1:2] == ["2"] else "<"
+        while (each := stream.readline()) and each.rstrip() != MARK:
             lines.append(_decoded(each))
         found.append(_Dataset(kind, lines, packed, order))
     if not found:
@@ -157,6 +149,7 @@ def _datasets(data: bytes) -> list[_Dataset]:
 
 def _decoded(line: bytes) -> str:
     """A line decoded as UTF-8, or else by the Windows code page, which defines almost all bytes."""
+    line = line.rstrip(b"\r\n")
     try:
         return line.decode()
     except UnicodeDecodeError:

@@ -12,6 +12,15 @@ JITTER_NOTED, JITTER_LIMIT = 0.01, 0.2  # rms deviation from the uniform grid, i
 END_SAMPLES, END_PART = 3, 0.1  # number of last samples; their largest size as a share of the peak
 COHERENT = 0.8  # least coherence of a bin that counts
 FATAL, NOTED = True, False  # whether a finding refuses the records
+# Messages of checks that are noted or fatal by the size of what they find.
+_JITTER = (
+    "time stamps {steps:.2g} steps (rms) off the uniform grid, resampled to it: phases are off by {phase_deg:.2g} "
+    "deg at 1 kHz, delays by {late_us:.2g} us"
+)
+_CYCLES = (
+    "{cycles:.2g} cycles per octave below {up_to_Hz:.3g} Hz in {trials} trials, must be at least {limit:g}; "
+    "{longer}add trials from {low_Hz:.3g} Hz on"
+)
 
 
 class Fault(StrEnum):
@@ -65,13 +74,9 @@ class Check(Enum):
     """
 
     # fmt: off
-    JITTER_NOTED = Fault.JITTER, NOTED, JITTER_NOTED, (
-        "time stamps {steps:.2g} steps (rms) off the uniform grid, resampled to it: phases are off by "
-        "{phase_deg:.2g} deg at 1 kHz, delays by {late_us:.2g} us")
+    JITTER_NOTED = Fault.JITTER, NOTED, JITTER_NOTED, _JITTER
     JITTERED = Fault.JITTER, FATAL, JITTER_LIMIT, (
-        "time stamps {steps:.2g} steps (rms) off the uniform grid, resampled to it: phases are off by "
-        "{phase_deg:.2g} deg at 1 kHz, delays by {late_us:.2g} us; must be at most {limit:g}; sample by the servo's"
-        " timer and record again")
+        _JITTER + "; must be at most {limit:g}; sample by the servo's timer and record again")
     MISSING = Fault.MISSING, NOTED, None, "{missing}"
     STILL = Fault.NO_EXCITATION, FATAL, None, "{quantity} stays at {value:g} {unit}; check {what} and record again"
     SATURATED = Fault.SATURATED, FATAL, None, (
@@ -88,12 +93,8 @@ class Check(Enum):
         "came before is not known, so that nothing is judged by this record; begin it before the command does")
     RATES = Fault.RATES, FATAL, None, (
         "{rate_Hz:.6g} Hz, {first} {wanted_Hz:.6g} Hz: must be one rate; record all trials at the servo's")
-    FEW_CYCLES = Fault.TOO_FEW_CYCLES, NOTED, LEAST_CYCLES, (
-        "{cycles:.2g} cycles per octave below {up_to_Hz:.3g} Hz in {trials} trials, must be at least {limit:g}; "
-        "{longer}add trials from {low_Hz:.3g} Hz on")
-    HARDLY_ANY_CYCLES = Fault.TOO_FEW_CYCLES, FATAL, LEAST_CYCLES, (
-        "{cycles:.2g} cycles per octave below {up_to_Hz:.3g} Hz in {trials} trials, must be at least {limit:g}; "
-        "{longer}add trials from {low_Hz:.3g} Hz on")
+    FEW_CYCLES = Fault.TOO_FEW_CYCLES, NOTED, LEAST_CYCLES, _CYCLES
+    HARDLY_ANY_CYCLES = Fault.TOO_FEW_CYCLES, FATAL, LEAST_CYCLES, _CYCLES
     FEW_BINS = Fault.TOO_FEW_CYCLES, FATAL, None, (
         "resolves {bins} bands of frequency, at least {least} are needed; sweep longer and wider")
     INCOHERENT = Fault.INCOHERENT, NOTED, COHERENT, (

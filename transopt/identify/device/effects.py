@@ -53,7 +53,7 @@ class Missed:
     Attributes
     ----------
     run : the record.
-    current_A : (n,) input of the prediction.
+    current : input of the prediction, from rest.
     residual : (n,) recorded less predicted acceleration after the high-pass [m/s^2].
     energy : energy of the recorded acceleration outside the rests.
     excess : energy of the residual there less that of the noise, over `energy`.
@@ -61,7 +61,7 @@ class Missed:
     """
 
     run: Measurement
-    current_A: FloatArray
+    current: Signal
     residual: FloatArray
     energy: float
     excess: float
@@ -75,11 +75,9 @@ def missed(model: Model, grip_N: float, instrument: Instrument, run: Measurement
     the record where the prediction is at rest.
     """
     recorded = run.require("acceleration", "acceleration_m_s2")
-    current = _commanded(run, instrument)
-
-    from_rest = _from_rest(current.values)
-    parts = predict(model, grip_N, instrument, from_rest), recorded.values, np.ones(recorded.values.size)
-    predicted, measured, step = (_passed(recorded.start_s, recorded.dt_s, values) for values in parts)
+    current = _driving(run, instrument)
+    parts = predict(model, grip_N, instrument, current.values), recorded.values, np.ones(recorded.values.size)
+    predicted, measured, step = (_passed(replace(recorded, values=values)) for values in parts)
     residual = measured - predicted
     size = np.abs(predicted)
     least = QUIET * size.max(initial=0.0)
@@ -100,7 +98,13 @@ def missed(model: Model, grip_N: float, instrument: Instrument, run: Measurement
         uncertain = np.inf  # stamps that are off make samples off by their slope, which no rest shows
     excess = float(np.sum(residual[busy] ** 2)) - noise * np.count_nonzero(busy)
     scale = max(energy, np.finfo(float).tiny)
-    return Missed(run, from_rest, residual, energy, excess / scale, uncertain / scale)
+    return Missed(run, current, residual, energy, excess / scale, uncertain / scale)
+
+
+def _driving(run: Measurement, instrument: Instrument) -> Signal:
+    """The current that a design expects from the command (`_commanded`), from rest."""
+    current = _commanded(run, instrument)
+    return replace(current, values=_from_rest(current.values))
 
 
 def _commanded(run: Measurement, instrument: Instrument) -> Signal:
@@ -126,9 +130,9 @@ def _from_rest(values: FloatArray) -> FloatArray:
     return values - np.median(values[: max(3, values.size // 50)])
 
 
-def _passed(start_s: float, dt_s: float, values: FloatArray) -> FloatArray:
+def _passed(x: Signal) -> FloatArray:
     """(n,) values after the high-pass, which keeps what a tap is made of."""
-    return highpass(Signal(start_s, dt_s, values), HIGHPASS_HZ).values
+    return highpass(x, HIGHPASS_HZ).values
 
 
 def _alike(noise: FloatArray) -> float:
@@ -145,13 +149,13 @@ def at_use(found: Sequence[Missed], error: ModelError) -> list[AtUse]:
     stated = []
     for one in found:
         assert one.run.grip_N is not None
-        linear = error.nrmse(one.run.grip_N, one.current_A, one.run.require("acceleration", "").dt_s, one.energy) ** 2
+        linear = error.nrmse(one.run.grip_N, one.current.values, one.current.dt_s, one.energy) ** 2
         beyond = one.excess - linear
         significant = beyond > CERTAIN * one.deviation
         stated.append(
             AtUse(
                 grip_N=one.run.grip_N,
-                peak_A=max(float(np.abs(one.current_A).max()), 1e-9),
+                peak_A=max(float(np.abs(one.current.values).max()), 1e-9),
                 excess=float(np.sqrt(beyond)) if significant else 0.0,
             )
         )
@@ -285,8 +289,9 @@ def named_by_lines(fit: ChainFit, repeated: Sequence[Measurement]) -> list[tuple
         wanted.append(mean[silent])
         energy, noise = energy + float(np.sum(np.abs(mean[silent]) ** 2)), noise + float(np.sum(variance[silent]))
         strongest = max(strongest, found.odd)
+        driving = _driving(run, fit.instrument)
         for name, parts in shapes.items():
-            parts.append(lines.mean(_shape(name, fit.device, fit.instrument, run))[0][silent])
+            parts.append(lines.mean(_shape(name, fit.device, run.grip_N, driving))[0][silent])
     beyond = energy - noise
     if not wanted or beyond <= 0:
         return []
@@ -321,66 +326,62 @@ def named(fit: ChainFit, found: Sequence[Missed]) -> list[tuple[str, float]]:
     if not found:
         return []
     wanted = np.concatenate([one.residual for one in found])
-    linear = np.concatenate([_slopes(fit, one.run) for one in found])
+    linear = np.concatenate([_slopes(fit, one.run.grip_N or 0.0, one.current) for one in found])
     scale = np.maximum(np.linalg.norm(linear, axis=0), np.finfo(float).tiny)
     Q, _ = np.linalg.qr(linear / scale)
     left = wanted - Q @ (Q.T @ wanted)
     noise = sum(float(np.sum(one.residual**2)) - max(one.excess, 0.0) * one.energy for one in found)
     fitted: dict[str, float] = {}
     for name in ("friction", "backlash", "stiffening"):
-        shape = np.concatenate([_shape(name, fit.device, fit.instrument, one.run) for one in found])
+        shape = np.concatenate([_shape(name, fit.device, one.run.grip_N or 0.0, one.current) for one in found])
         shape -= Q @ (Q.T @ shape)
         fitted[name] = _explained(shape, left) / max(float(left @ left) - noise, np.finfo(float).tiny)
     best = max(fitted, key=lambda name: fitted[name])
     return [(best, min(fitted[best], 1.0))] if fitted[best] > EXPLAINS else []
 
 
-def _slopes(fit: ChainFit, run: Measurement) -> FloatArray:
+def _slopes(fit: ChainFit, grip_N: float, current: Signal) -> FloatArray:
     """(n, p) derivatives of a predicted acceleration after the high-pass by the chain's p unknowns [m/s^2]."""
-    assert run.grip_N is not None
-    current = _commanded(run, fit.instrument)
-    grip_N = run.grip_N
-    moved = through(
-        _from_rest(current.values), current.dt_s, lambda f: response_slopes(fit, grip_N, f), zero_Hz=LOWEST_HZ
-    )
-    return np.stack([_passed(current.start_s, current.dt_s, one) for one in moved], axis=1)
+    moved = through(current.values, current.dt_s, lambda f: response_slopes(fit, grip_N, f), zero_Hz=LOWEST_HZ)
+    return np.stack([_passed(replace(current, values=one)) for one in moved], axis=1)
 
 
-def _shape(name: str, device: DriveChain, instrument: Instrument, run: Measurement) -> FloatArray:
+def _shape(name: str, device: DriveChain, grip_N: float, current: Signal) -> FloatArray:
     """(n,) acceleration after the high-pass that a candidate adds, up to a factor [m/s^2]."""
-    assert run.grip_N is not None
-    plant = device.plant(run.grip_N)
-    current = _commanded(run, instrument)
-    values = _from_rest(current.values)
+    plant = device.plant(grip_N)
     n = plant.order // 2
-    masses = np.concatenate([device.shared[:2], device.hand_at(run.grip_N)[:1]])[:n]
+    masses = np.concatenate([device.shared[:2], device.hand_at(grip_N)[:1]])[:n]
+
+    def moved(row: FloatArray) -> FloatArray:
+        """(n,) course of an elongation or velocity under the current."""
+        return _through(plant, plant.B[:, 0], row, 0.0, current)
+
     stretches = np.eye(plant.order)[:n]
     if name == "friction":
-        motion = _through(plant, plant.B[:, 0], plant.Cv[0], 0.0, current.dt_s, values)
+        motion = moved(plant.Cv[0])
         forces = {0: -np.tanh(motion / (SLOW * np.abs(motion).max(initial=1e-12)))}
     elif name == "backlash":
-        stretch = _through(plant, plant.B[:, 0], stretches[0], 0.0, current.dt_s, values)
+        stretch = moved(stretches[0])
         part = np.tanh(stretch / (PLAY * np.abs(stretch).max(initial=1e-12)))
         forces = {0: part, 1: -part}
     else:
         if n < 3:
-            return np.zeros(values.size)
-        stretch = _through(plant, plant.B[:, 0], stretches[1], 0.0, current.dt_s, values)
+            return np.zeros(current.values.size)
+        stretch = moved(stretches[1])
         part = (stretch / np.abs(stretch).max(initial=1e-12)) ** 3
         forces = {1: -part, 2: part}
-    total = np.zeros(values.size)
+    total = np.zeros(current.values.size)
     for mass, force in forces.items():
         given = np.zeros(plant.order)  # the rates of the links that the mass joins
         given[n + mass] = 1 / masses[mass]
         if mass:
             given[n + mass - 1] = -1 / masses[mass]
-        total += _through(plant, given, plant.C[0], 1 / masses[1] if mass == 1 else 0.0, current.dt_s, force)
-    return _passed(current.start_s, current.dt_s, total)
+        pushed = replace(current, values=force)
+        total += _through(plant, given, plant.C[0], 1 / masses[1] if mass == 1 else 0.0, pushed)
+    return _passed(replace(current, values=total))
 
 
-def _through(
-    plant: StateSpace, given: FloatArray, row: FloatArray, direct: float, dt_s: float, values: FloatArray
-) -> FloatArray:
+def _through(plant: StateSpace, given: FloatArray, row: FloatArray, direct: float, x: Signal) -> FloatArray:
     """(n,) response from rest of output `row`, with feedthrough `direct`, to an input that enters along `given`."""
     poles, modes = np.linalg.eig(plant.A)
     gains = (row @ modes) * np.linalg.solve(modes, given.astype(complex))
@@ -388,7 +389,7 @@ def _through(
     def ratio(frequencies_Hz: FloatArray) -> ComplexArray:
         return np.asarray((gains / (2j * np.pi * frequencies_Hz[:, None] - poles)).sum(axis=1) + direct)
 
-    return through(values, dt_s, ratio, zero_Hz=LOWEST_HZ)
+    return through(x.values, x.dt_s, ratio, zero_Hz=LOWEST_HZ)
 
 
 def current_missed(instrument: Instrument, run: Measurement) -> tuple[float, float]:
