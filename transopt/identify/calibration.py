@@ -21,7 +21,7 @@ from pydantic import ValidationError
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
-from transopt.identify.device.chain import HAND, SHARED, Coordinates, log_slopes
+from transopt.identify.device.chain import HAND, SHARED, Coordinates, hand_table, log_slopes
 from transopt.identify.device.response import ACCELERATION, CURRENT, POSITION, Instrument, courses
 from transopt.identify.fit import intervals_around, known
 from transopt.identify.squares import Squares, inverse
@@ -275,12 +275,8 @@ def _device(
     """The drive with the hand of (10,) logarithms at both ends and their covariance, as a model file states it."""
     names, values, matrix = coordinates.stated(logarithms)
     spread = matrix @ covariance @ matrix.T
-    hand: dict[str, dict[str, float]] = {}
-    for name, value in zip(names, values.tolist(), strict=True):
-        _, parameter, part = name.split(".")
-        hand.setdefault(parameter, {})[part] = value
     stated = {
-        "hand": hand,
+        "hand": hand_table(values.reshape(-1, 2)),
         **known(names, spread, intervals_around(values, spread)),
         "sources": [source.model_dump() for source in sources],
     }

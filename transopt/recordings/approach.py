@@ -49,10 +49,10 @@ class Approach:
     """
 
     acceleration: Signal
-    offset_error_m_s2: float
-    incoming_m_s2: float
-    source: str
-    slow_part_known: bool
+    offset_error_m_s2: float = 0.0
+    incoming_m_s2: float = 0.0
+    source: str = UNSEPARATED
+    slow_part_known: bool = True
     notes: tuple[str, ...] = ()
 
 
@@ -73,7 +73,7 @@ def find_approach(
         return _completed(x, position, onset_s, trusted_from_Hz)
     coming = x.values[_coming(x, onset_s)]
     if coming.size < LEAST_SAMPLES:
-        return Approach(x, 0.0, 0.0, UNSEPARATED, slow_part_known=True)
+        return Approach(x)
     before = float(coming.mean())
     if stated:
         missing, error, source = 0.0, 2 * noise_m_s2 / np.sqrt(coming.size), STATED
@@ -83,12 +83,12 @@ def find_approach(
             found = _by_position(x, position, onset_s, noise_m_s2)
         if found is None:
             said = "offset and incoming acceleration are not told apart without a position: the latter is taken as 0"
-            return Approach(x, 0.0, 0.0, UNSEPARATED, True, (said,))
+            return Approach(x, notes=(said,))
         missing, error, source = found
     incoming = before + missing
     if abs(incoming) <= max(error, LEAST_M_S2):
-        return Approach(x, 0.0, 0.0, source, slow_part_known=True)
-    return Approach(replace(x, values=x.values + missing), missing, incoming, source, slow_part_known=True)
+        return Approach(x, source=source)
+    return Approach(replace(x, values=x.values + missing), missing, incoming, source)
 
 
 def _coming(x: Signal, onset_s: float) -> slice:
@@ -135,7 +135,7 @@ def _completed(x: Signal, position: Signal | None, onset_s: float, trusted_from_
             if known
             else "what is slower is unknown without a position_m, so only the rapid error is minimised"
         )
-        return Approach(x, 0.0, 0.0, UNSEPARATED, known, (f"{said}: {lost}",))
+        return Approach(x, slow_part_known=known, notes=(f"{said}: {lost}",))
     w = 2 * np.pi * trusted_from_Hz
     inverse = replace(x, values=x.values + w * integral(x.values, x.dt_s))
     solution, interval = _fitted(inverse, position, inside, onset_s, 4)
@@ -146,7 +146,7 @@ def _completed(x: Signal, position: Signal | None, onset_s: float, trusted_from_
     if abs(incoming) <= max(2 * interval[2], LEAST_M_S2):
         incoming = 0.0
     notes = (f"{said}: what is slower is completed from the position",)
-    return Approach(whole, slope / w, incoming, SEPARATED, slow_part_known=True, notes=notes)
+    return Approach(whole, slope / w, incoming, SEPARATED, notes=notes)
 
 
 def _fitted(x: Signal, position: Signal, inside: slice, onset_s: float, terms: int) -> tuple[FloatArray, FloatArray]:

@@ -224,7 +224,12 @@ class TimeAxis:
 
 
 def build_reference(
-    speed_m_s: float, grip_N: float, taps: Sequence[PreparedTap], factors: FloatArray, axis: TimeAxis
+    speed_m_s: float,
+    grip_N: float,
+    taps: Sequence[PreparedTap],
+    factors: FloatArray,
+    axis: TimeAxis,
+    of_grips_N: tuple[float, ...] = (),
 ) -> Reference:
     """Scale, align and average the taps of one grid speed and grip.
 
@@ -237,6 +242,7 @@ def build_reference(
     taps : n taps.
     factors : (n,) factors that scale their accelerations to that speed.
     axis : time axis of the reference.
+    of_grips_N : see `Reference`.
 
     Raises
     ------
@@ -294,4 +300,5 @@ def build_reference(
         repeatability_unaligned=unaligned,
         taps=tuple(taps),
         factors=np.asarray(factors),
+        of_grips_N=of_grips_N,
     )

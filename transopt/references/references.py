@@ -293,33 +293,21 @@ def build_references(
     InputError : see `prepare`, `assign` and `build_reference`.
     """
     taps = prepare_all(recordings, settings)
-    axis, cells, notes = TimeAxis(grid, free), [], dict[str, None]()
+    axis, cells, notes = TimeAxis(grid, free), list[Reference](), list[str]()
     grouped = grip_groups([tap.recording.grip_N for tap in taps if tap.recording.grip_N is not None])
     for speed, group in zip(speeds_m_s, assign(taps, speeds_m_s, settings), strict=True):
         if not grouped:
-            cells += [_cell(speed, grip, (), group, axis) for grip in grips_N]
+            of, factors = zip(*group, strict=True)
+            cells += [build_reference(speed, grip, of, np.array(factors), axis) for grip in grips_N]
         for alike in grouped:
             own = [(tap, factor) for tap, factor in group if tap.recording.grip_N in alike]
             if own:
                 mean = float(f"{np.mean(alike):.6g}")
-                cells.append(_cell(speed, mean, (mean,), own, axis))
+                of, factors = zip(*own, strict=True)
+                cells.append(build_reference(speed, mean, of, np.array(factors), axis, (mean,)))
                 if alike[-1] > alike[0]:
-                    notes[f"taps of {alike[0]:.4g} to {alike[-1]:.4g} N are taken as of one grip, {mean:.4g} N"] = (
-                        None
-                    )
-    return References(tuple(cells), tuple(notes))
-
-
-def _cell(
-    speed_m_s: float,
-    grip_N: float,
-    of_grips_N: tuple[float, ...],
-    scaled: Sequence[Scaled],
-    axis: TimeAxis,
-) -> Reference:
-    taps, factors = [tap for tap, _ in scaled], np.array([factor for _, factor in scaled])
-    cell = build_reference(speed_m_s, grip_N, taps, factors, axis)
-    return replace(cell, of_grips_N=of_grips_N)
+                    notes += [f"taps of {alike[0]:.4g} to {alike[-1]:.4g} N are taken as of one grip, {mean:.4g} N"]
+    return References(tuple(cells), tuple(dict.fromkeys(notes)))
 
 
 def sampled_again(references: References, grid: TimeGrid, free: Free) -> References:
@@ -336,8 +324,5 @@ def sampled_again(references: References, grid: TimeGrid, free: Free) -> Referen
                 "the scene with them"
             )
     axis = TimeAxis(grid, free)
-    cells = (
-        _cell(c.speed_m_s, c.grip_N, c.of_grips_N, list(zip(c.taps, c.factors.tolist(), strict=True)), axis)
-        for c in references
-    )
+    cells = (build_reference(c.speed_m_s, c.grip_N, c.taps, c.factors, axis, c.of_grips_N) for c in references)
     return replace(references, cells=tuple(cells))

@@ -73,6 +73,12 @@ class DriveChain:
         return DriveChain(force_per_current_N_A, self.shared * factor, self.hand * factor)
 
 
+def hand_table(hand: FloatArray) -> dict[str, dict[str, float]]:
+    """Constants and slopes (5, 2) of `HAND` as a model file states them."""
+    lines = zip(HAND, hand.tolist(), strict=True)
+    return {name: {"constant": constant, "per_newton": slope} for name, (constant, slope) in lines}
+
+
 def chain_of(parameters: FloatArray, force_per_current_N_A: float) -> StateSpace:
     """The plant of (9,) parameters, or of (4,) for the free device."""
     mass, stylus, stiffness, damping, *hand = parameters.tolist()

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from transopt.identify.device.black_box import BlackBox
-from transopt.identify.device.chain import HAND, SHARED
+from transopt.identify.device.chain import SHARED, hand_table
 from transopt.identify.device.chain_fit import ChainFit, GripFit
 from transopt.identify.device.response import Instrument
 from transopt.identify.device.trials import Grip
@@ -145,10 +145,7 @@ def device_part(result: DeviceResult) -> DriveDevice | StateSpaceDevice:
             "kind": "drive",
             "force_per_current_N_A": device.force_per_current_N_A,
             **dict(zip(SHARED, device.shared.tolist(), strict=True)),
-            "hand": {
-                name: {"constant": constant, "per_newton": slope}
-                for name, (constant, slope) in zip(HAND, device.hand.tolist(), strict=True)
-            },
+            "hand": hand_table(device.hand),
             **known(names, covariance, intervals),
             **common,
         }
