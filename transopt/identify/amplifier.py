@@ -283,9 +283,8 @@ def trials_of(runs: Sequence[Measurement]) -> tuple[list[Trial], list[Finding]]:
     ------
     InputError : a finding is fatal.
     """
-    signals = [(run, run.require("command", "command_A"), run.require("current", "current_A")) for run in runs]
     findings = refuse(finding for run in runs for finding in check_measurement(run, ("command", "current")))
-    trials = [Trial(run.name, command, current) for run, command, current in signals]
+    trials = [Trial.of(run, "command", "current") for run in runs]
     refuse(check_rates(trials))
     # Each trial is checked by itself, so that the message names its file.
     each = [estimate_transfer([trial]) for trial in trials]

@@ -86,7 +86,7 @@ def heat_record(run: Measurement, R_ohm: float, ripple_A: float = PWM_RIPPLE_A) 
     ------
     InputError : a column is missing, nothing heats, or the temperature does not rise out of its noise.
     """
-    current = run.require("current", "current_A")
+    current = run.require("current")
     if not 0 < R_ohm < np.inf:
         raise InputError(f"--resistance-ohm {R_ohm:g}: must be > 0 and finite")
     if not 0 <= ripple_A <= MOST_RIPPLE_A:

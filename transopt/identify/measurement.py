@@ -78,16 +78,16 @@ class Measurement:
     off_grid: float = 0.0
     missing: str = ""
 
-    def require(self, quantity: str, column: str) -> Signal:
+    def require(self, quantity: str) -> Signal:
         """The signal of a quantity.
 
         Raises
         ------
-        InputError : the file has none; the message names `column`, the column that holds it.
+        InputError : the file has none; the message names the column that holds it.
         """
         found = getattr(self, quantity)
         if found is None:
-            raise InputError(f"{self.name}: no column {column}; record it too")
+            raise InputError(f"{self.name}: no column {WORDS.names_of(quantity)[0]}; record it too")
         assert isinstance(found, Signal)
         return found
 
@@ -145,7 +145,7 @@ def split_taps(runs: Sequence[Measurement], wanted: Sequence[int] = ()) -> list[
     """
     found = []
     for run in runs:
-        for tap in pieces(run.name, run.require("force", "force_N"), {"*": wanted} if wanted else {}):
+        for tap in pieces(run.name, run.require("force"), {"*": wanted} if wanted else {}):
             found.append(replace(run.part(tap.first, tap.end), name=tap.name))
     return found
 

@@ -10,6 +10,7 @@ from transopt.base.signals import ComplexArray, FloatArray, Signal
 from transopt.identify.condensed import Condensed, condense, pooled, summed_around
 from transopt.identify.findings import Check, Finding, refuse
 from transopt.identify.fit import LEVEL, quantile
+from transopt.identify.measurement import Measurement
 
 OCTAVES_OF_SPREAD = 0.5  # to either side of a bin over which the scatter between trials is averaged
 SCATTERED = 1.5  # total variance over that within trials above which the number of trials sets the degrees of freedom
@@ -33,6 +34,11 @@ class Trial:
     name: str
     input: Signal
     output: Signal
+
+    @classmethod
+    def of(cls, run: Measurement, given: str, answer: str) -> "Trial":
+        """The trial from one quantity of a run to another, such as from its command to its current."""
+        return cls(run.name, run.require(given), run.require(answer))
 
     def __post_init__(self) -> None:
         given, answer = self.input, self.output

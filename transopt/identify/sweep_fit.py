@@ -69,10 +69,9 @@ def fit_sweep(
     """
     inputs = {each.name: each for each in (VOLTAGE_INPUT, CURRENT_INPUT)}
     name = driven_by or next((each for each in inputs if getattr(run, each) is not None), VOLTAGE_INPUT.name)
-    given = run.require(name, f"{name}_{inputs[name].unit}")
-    answer = run.require("acceleration", "acceleration_m_s2")
+    given, answer = run.require(name), run.require("acceleration")
     notes = [str(finding) for finding in refuse(check_measurement(run, [name, "acceleration"]))]
-    seen = estimate_transfer([Trial(run.name, given, answer)])
+    seen = estimate_transfer([Trial.of(run, name, "acceleration")])
     low, high = band_Hz or (0.0, np.inf)
     f = seen.frequencies_Hz
     inside = (f >= low) & (f <= min(high, OF_NYQUIST / 2 / given.dt_s))

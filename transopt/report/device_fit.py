@@ -139,7 +139,7 @@ def _motion(axes: Axes, transients: list[Transient]) -> None:
         axes.text(0.5, 0.5, "nothing was kept out", ha="center", va="center", transform=axes.transAxes)
         return
     one = next((found for found in transients if found.run.held_out), transients[-1])
-    recorded = one.run.require("acceleration", "acceleration_m_s2")
+    recorded = one.run.require("acceleration")
     peak = int(np.argmax(np.abs(one.measured)))
     shown = slice(max(peak - round(BEFORE * SHOWN_S / recorded.dt_s), 0), peak + round(SHOWN_S / recorded.dt_s))
     times_ms = 1e3 * recorded.dt_s * (np.arange(one.measured.size)[shown] - peak)

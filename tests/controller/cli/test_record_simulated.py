@@ -37,7 +37,7 @@ def test_sweeps_of_a_series(play: Run) -> None:
     assert free.grip_N == 0.0
     assert taken.accelerometer_Hz == 2500.0
     for quantity in ("command", "current", "acceleration", "position"):
-        assert taken.require(quantity, quantity).rate_Hz == pytest.approx(1e4)
+        assert taken.require(quantity).rate_Hz == pytest.approx(1e4)
     again = play(*SWEEP, *arguments)
     assert_refused(again, "--out sweeps: holds a recording already (device_0N_1_pos.npz)", "another folder")
     joined = play(*SWEEP, "--grips", 4, *arguments[2:])
@@ -52,12 +52,12 @@ def test_taps_at_the_current_of_use_are_marked_as_kept_out_of_the_fit(play: Run)
     assert "1 sweeps of 0.3 s, 2 taps, 1 multisines" in outcome.out
     repeated = load_measurement(Path("sweeps/device_3N_multisine_1_pos.npz"))
     assert repeated.period_s == pytest.approx(0.4)
-    assert np.abs(repeated.require("current", "").values).max() == pytest.approx(1.75, rel=0.1)
+    assert np.abs(repeated.require("current").values).max() == pytest.approx(1.75, rel=0.1)
     taps = [load_measurement(path) for path in sorted(Path("sweeps").glob("*_tap_*.npz"))]
     assert [one.name for one in taps] == ["device_3N_tap_1_pos.npz", "device_3N_tap_2_neg.npz"]
     assert all(one.held_out for one in taps)
     for one, sign in zip(taps, (1, -1), strict=True):
-        current = sign * one.require("current", "").values
+        current = sign * one.require("current").values
         assert current.max() == pytest.approx(3.5, rel=0.05)
         assert current.max() > -current.min()
     assert not load_measurement(Path("sweeps/device_3N_1_pos.npz")).held_out
@@ -92,10 +92,10 @@ def test_taps_of_a_library(play: Run) -> None:
     assert "2 taps, tap_0.25m_s_2N_1.npz to tap_0.25m_s_4N_1.npz" in outcome.out
     taken = load_measurement(Path("t/tap_0.25m_s_2N_1.npz"))
     assert taken.speed_m_s == pytest.approx(0.25, rel=5e-3)
-    command, current = taken.require("command", ""), taken.require("current", "")
+    command, current = taken.require("command"), taken.require("current")
     assert np.abs(command.values).max() > 1
     assert np.abs(current.values).max() > 1
-    before = taken.require("acceleration", "").values[command.times_s < -1e-3]
+    before = taken.require("acceleration").values[command.times_s < -1e-3]
     assert float(np.abs(before).max()) < 1
 
 
@@ -136,7 +136,7 @@ def test_the_hand_is_read_from_taps_on_a_soft_object(play: Run) -> None:
     taps, complaints = usable_taps(trials)
     assert complaints == []
     for trial, tap in zip(trials, taps, strict=True):
-        force, position = trial.require("force", ""), trial.require("position", "").values
+        force, position = trial.require("force"), trial.require("position").values
         times = force.times_s
         before = times < -0.01
         straight = np.polynomial.Polynomial.fit(times[before], position[before], 1)
@@ -160,7 +160,7 @@ def test_heat(play: Run) -> None:
         "record", "heat", "--simulate", "--heating", 60, "--cooling", 30, "--out", "h", "--true-device", "hot_coil"
     )
     assert outcome.code == 0, outcome.err
-    assert load_measurement(Path("h/heat.npz")).require("winding", "").values.size == 91
+    assert load_measurement(Path("h/heat.npz")).require("winding").values.size == 91
 
 
 @pytest.mark.parametrize("motor_of", ["wood_on_foam", "hot_coil", "small_coil"])

@@ -28,7 +28,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, rig: Rig) -> Path:
         units = {"command": "command_A", "current": "current_A", "acceleration": "acceleration_m_s2"}
         write_measurement(
             place / run.name,
-            {"time_s": run.require("current", "").times_s, **{units[name]: x for name, x in columns.items()}},
+            {"time_s": run.require("current").times_s, **{units[name]: x for name, x in columns.items()}},
             {"grip_N": run.grip_N or 0.0, "accelerometer_Hz": ACCELEROMETER_HZ},
         )
     return place

@@ -169,6 +169,6 @@ def test_a_hammers_session_gives_each_of_its_taps(tmp_path: Path) -> None:
     assert [tap.name for tap in taps] == [f"hammer.txt#{k}" for k in (1, 2, 3)]
     assert all(tap.grip_N == 3 for tap in taps)
     np.testing.assert_allclose(
-        taps[1].require("acceleration", "").values, 2 * G * taps[1].require("force", "").values, rtol=1e-6, atol=1e-9
+        taps[1].require("acceleration").values, 2 * G * taps[1].require("force").values, rtol=1e-6, atol=1e-9
     )
     assert [tap.name for tap in split_taps(runs, [2])] == ["hammer.txt#2"]

@@ -43,7 +43,7 @@ def _likeness(run: Measurement, amplifier: Amplifier | None, plant: StateSpace, 
     Only the phases of the cross-spectrum are used, at the lines that the current excites: the peak over lags is then
     sharp, while the plain correlation of a resonant device has one maximum per period of the resonance.
     """
-    current, recorded = felt_current(run, amplifier), run.require("acceleration", "acceleration_m_s2")
+    current, recorded = felt_current(run, amplifier), run.require("acceleration")
     size = fft.next_fast_len(2 * recorded.values.size, real=True)
     lines = fft.rfftfreq(size, recorded.dt_s)
     given = fft.rfft(current.values - current.values.mean(), size)
@@ -108,7 +108,7 @@ def without_leakage(grip: Grip, model: Model, instrument: Instrument) -> Grip | 
     """The grip with the response of records without leakage; None if the leakage is negligible."""
     found, most = [], 0.0
     for run in grip.fitted:
-        recorded = run.require("acceleration", "acceleration_m_s2")
+        recorded = run.require("acceleration")
         current = felt_current(run, instrument.amplifier).values
         expected = predict(model, grip.grip_N, instrument, current - current[0])
         leaked, share = leakage(recorded.values - expected, recorded.dt_s)

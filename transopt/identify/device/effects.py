@@ -74,7 +74,7 @@ def missed(model: Model, grip_N: float, instrument: Instrument, run: Measurement
     It predicts like a design does: with the amplifier's pole and delay and a gain of one. The noise is estimated from
     the record where the prediction is at rest.
     """
-    recorded = run.require("acceleration", "acceleration_m_s2")
+    recorded = run.require("acceleration")
     current = _driving(run, instrument)
     parts = predict(model, grip_N, instrument, current.values), recorded.values, np.ones(recorded.values.size)
     predicted, measured, step = (_passed(replace(recorded, values=values)) for values in parts)
@@ -265,7 +265,7 @@ def distortion(run: Measurement) -> Distortion | None:
         return found[0], found[1]
 
     own = levels(run.current.values) if run.current is not None and run.command is not None else (0.0, 0.0)
-    return Distortion(*levels(run.require("acceleration", "").values), *own)
+    return Distortion(*levels(run.require("acceleration").values), *own)
 
 
 def named_by_lines(fit: ChainFit, repeated: Sequence[Measurement]) -> list[tuple[str, float]]:
@@ -285,7 +285,7 @@ def named_by_lines(fit: ChainFit, repeated: Sequence[Measurement]) -> list[tuple
         if max(found.current_even, found.current_odd) > OF_THE_CURRENT * found.largest:
             continue  # the amplifier causes it, which `Distortion.words` tells
         silent = lines.even | lines.odd
-        mean, variance = lines.mean(run.require("acceleration", "").values)
+        mean, variance = lines.mean(run.require("acceleration").values)
         wanted.append(mean[silent])
         energy, noise = energy + float(np.sum(np.abs(mean[silent]) ** 2)), noise + float(np.sum(variance[silent]))
         strongest = max(strongest, found.odd)

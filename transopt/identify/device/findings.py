@@ -217,7 +217,7 @@ def _steps(grips: Sequence[Grip], spectra: Sequence[tuple[FloatArray, FloatArray
     worst, largest = 0.0, 0.0
     for grip, (_, noise) in zip(grips, spectra, strict=True):
         for run in grip.fitted:
-            values = run.require("acceleration", "acceleration_m_s2").values
+            values = run.require("acceleration").values
             levels = np.unique(values)
             gaps = np.diff(levels)
             gaps = gaps[gaps > 1e-6 * np.ptp(values)]

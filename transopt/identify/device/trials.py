@@ -7,7 +7,7 @@ import numpy as np
 from scipy import fft
 
 from transopt.base.errors import InputError
-from transopt.base.signals import FloatArray, Signal
+from transopt.base.signals import Signal
 from transopt.identify.amplifier import fit_amplifier, fit_pole
 from transopt.identify.amplifier_response import simulate_current
 from transopt.identify.checks import (
@@ -119,7 +119,7 @@ def instrument_of(runs: Sequence[Measurement], amplifier: Amplifier | None) -> I
             raise InputError(
                 f"{name}: accelerometer_Hz {pole}, {first} {poles[first]}: must be one sensor; state the same or none"
             )
-    return Instrument(runs[0].require("acceleration", "acceleration_m_s2").dt_s, amplifier, poles[first])
+    return Instrument(runs[0].require("acceleration").dt_s, amplifier, poles[first])
 
 
 def _current_against_command(run: Measurement, amplifier: Amplifier | None) -> list[Finding]:
@@ -194,10 +194,10 @@ def _against_response(run: Measurement, trial: Trial, estimate: TransferEstimate
 
 def _one_rate(runs: Sequence[Measurement], first: Measurement) -> list[Measurement]:
     """The runs with the rate of `first` where theirs differs only by the jitter of their time stamps."""
-    wanted = first.require("acceleration", "acceleration_m_s2").dt_s
+    wanted = first.require("acceleration").dt_s
 
     def alike(run: Measurement) -> bool:
-        x = run.require("acceleration", "acceleration_m_s2")
+        x = run.require("acceleration")
         return abs(x.dt_s / wanted - 1) < CERTAIN * max(run.off_grid, first.off_grid) / x.values.size
 
     return [run.changed(lambda _, x: replace(x, dt_s=wanted)) if alike(run) else run for run in runs]
@@ -230,36 +230,33 @@ def sort_trials(
     together = [*runs, *transients]
     found = refuse(finding for run in together for finding in check_measurement(run, QUANTITIES))
     trials_of = {
-        id(run): Trial(run.name, felt_current(run, amplifier), run.require("acceleration", "acceleration_m_s2"))
-        for run in together
+        id(run): Trial(run.name, felt_current(run, amplifier), run.require("acceleration")) for run in together
     }
     found += refuse(check_rates(list(trials_of.values())) + check_grips(runs))
     found += refuse(f for f in check_grips(transients) if f.fatal)
     instrument = instrument_of(together, amplifier)
     if instrument.accelerometer_Hz is None:
         found.append(Check.BANDWIDTH.at("accelerometer_Hz"))
-    groups, grips = by_grip(runs), []
-    apart = [run for run in transients if recorded_at(run, list(groups)) is None]
-    found += [finding for run in apart for finding in _outside(run, list(groups))]
-    in_order_of = {grip_N: sorted(group, key=runs.index) for grip_N, group in groups.items()}
-    fitted_of = {
-        grip_N: group[:-1] if not transients and len(group) >= LEAST_TO_HOLD_OUT else group
-        for grip_N, group in in_order_of.items()
-    }
-    follows = current_follows(list(fitted_of.values()), instrument)
+    groups, grips = by_grip(runs), list[Grip]()
+    at = {id(run): recorded_at(run, list(groups)) for run in transients}
+    parts = dict[float, tuple[list[Measurement], list[Measurement]]]()
+    for grip_N, group in groups.items():
+        in_order = sorted(group, key=runs.index)
+        if not transients and len(group) >= LEAST_TO_HOLD_OUT:
+            parts[grip_N] = in_order[:-1], in_order[-1:]
+        else:
+            parts[grip_N] = in_order, [run for run in transients if at[id(run)] == grip_N]
+    all_fitted = [fitted for fitted, _ in parts.values()]
+    follows = current_follows(all_fitted, instrument)
     if not follows:
-        instrument = replace(instrument, amplifier=_own_amplifier(list(fitted_of.values()), amplifier))
-    for grip_N, in_order in in_order_of.items():
+        instrument = replace(instrument, amplifier=_own_amplifier(all_fitted, amplifier))
+    for grip_N, (fitted, kept) in parts.items():
         where = "the free device" if grip_N == 0 else f"{grip_N:.3g} N"
-        fitted = fitted_of[grip_N]
-        hold_out = len(fitted) < len(in_order)
-        kept = in_order[-1:] if hold_out else [run for run in transients if recorded_at(run, list(groups)) == grip_N]
-        trials = [trials_of[id(run)] for run in fitted]
         response = response_of(grip_N, fitted, instrument, follows=follows)
         estimate = response.estimate
         # A record that is too short fails the other checks by chance, so its length is checked first.
         again = check_bins(where, estimate, LEAST_BINS)
-        again += check_cycles(where, trials, estimate, _band_Hz(grip_N)[0])
+        again += check_cycles(where, [trials_of[id(run)] for run in fitted], estimate, _band_Hz(grip_N)[0])
         for run in (*fitted, *kept):
             again += _current_against_command(run, amplifier)
         again += _odd_one_out(where, [run.name for run in fitted], estimate)
@@ -272,8 +269,12 @@ def sort_trials(
         found += refuse(again)
         grips.append(Grip(grip_N, response, tuple(fitted), tuple(kept)))
         tick()
-    between = [run for run in apart if not _outside(run, list(groups))]
-    for run in between:
+    between = list[Measurement]()
+    for run in [run for run in transients if at[id(run)] is None]:
+        if outside := _outside(run, list(groups)):
+            found += outside
+            continue
+        between.append(run)
         beside = min(
             (grip for grip in grips if grip.grip_N > 0), key=lambda grip: abs(grip.grip_N - (run.grip_N or 0.0))
         )
@@ -304,9 +305,8 @@ def _own_amplifier(groups: Sequence[Sequence[Measurement]], stated: Amplifier | 
     runs = [run for group in groups for run in group]
     if stated is None or any(run.current is None or run.command is None for run in runs):
         return stated
-    pairs = [(run, run.require("command", "command_A"), run.require("current", "current_A")) for run in runs]
     try:
-        found = fit_amplifier([Trial(run.name, command, current) for run, command, current in pairs])
+        found = fit_amplifier([Trial.of(run, "command", "current") for run in runs])
     except InputError:
         return stated
     return stated if found.shortfalls() else replace(stated, pole_Hz=found.pole_Hz, delay_s=found.delay_s)
@@ -336,16 +336,11 @@ def response_of(grip_N: float, runs: Sequence[Measurement], instrument: Instrume
 
 def _condensed(runs: Sequence[Measurement], given: str, names: Sequence[str], instrument: Instrument) -> Condensed:
     """Condense runs from the signal `given` to those of `names`; an encoder counts only where it moves enough."""
-
-    def values(run: Measurement, name: str) -> FloatArray:
-        x = getattr(run, name)
-        assert isinstance(x, Signal)
-        return np.asarray(x.values)
-
-    inputs = [values(run, given) for run in runs]
-    data = condense(inputs, [np.stack([values(run, name) for name in names]) for run in runs], instrument.dt_s)
+    inputs = [run.require(given).values for run in runs]
+    outputs = [np.stack([run.require(name).values for name in names]) for run in runs]
+    data = condense(inputs, outputs, instrument.dt_s)
     if "position" in names:
-        steps = np.abs(np.diff(np.concatenate([np.unique(values(run, "position")) for run in runs])))
+        steps = np.abs(np.diff(np.concatenate([np.unique(run.require("position").values) for run in runs])))
         count = float(steps[steps > 1e-9].min(initial=np.inf))
         size = max(float(np.ptp(given)) / 2 for given in inputs)
         moved = np.abs(data.values()[-1]).max(axis=1) * size

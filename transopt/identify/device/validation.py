@@ -98,7 +98,7 @@ def compare(model: Model, grip_N: float, instrument: Instrument, run: Measuremen
     The accelerometer's static offset (1 g if it stands upright) passes the high-pass as a step response; it is fitted
     by least squares and subtracted.
     """
-    recorded = run.require("acceleration", "acceleration_m_s2")
+    recorded = run.require("acceleration")
 
     def passed(values: FloatArray) -> FloatArray:
         return highpass(Signal(recorded.start_s, recorded.dt_s, values), HIGHPASS_HZ).values

@@ -222,8 +222,8 @@ def tap_of(trial: Measurement, window_s: float = REACTION_S) -> HandTap:
     ------
     InputError : the trial lacks a column or its grip, or cannot be used; the message names the trial and a remedy.
     """
-    force = trial.require("force", "force_N")
-    acceleration = trial.require("acceleration", "acceleration_m_s2")
+    force = trial.require("force")
+    acceleration = trial.require("acceleration")
     if trial.grip_N is None:
         raise InputError(f"{trial.name}: no grip: state it in the file (grip_N); the fits run over grip")
     if not trial.grip_N > 0:
@@ -271,7 +271,7 @@ def _check_recording(trial: Measurement) -> None:
         found = f"time stamps lie {trial.off_grid:.2g} steps (rms) off a uniform grid"
         raise InputError(f"{found}: at most {_JITTER:g}; sample by a timer and record again")
     for quantity, unit in (("force", "N"), ("acceleration", "m/s^2")):
-        values = trial.require(quantity, "").values
+        values = trial.require(quantity).values
         for extreme in (values.max(), values.min()):
             stuck = int(np.count_nonzero(values == extreme))
             # A quiet sensor may repeat its resting value; an end stop lies far from it.
@@ -306,8 +306,8 @@ def _check_signs_and_units(trial: Measurement, tap: HandTap) -> None:
 
 def _displacement_ratio(trial: Measurement, tap: HandTap) -> float:
     """Deviation measured by the encoder over that measured by the accelerometer."""
-    position = trial.require("position", "position_m")
-    force = trial.require("force", "force_N")
+    position = trial.require("position")
+    force = trial.require("force")
     _, begin = _contact(force.values, force.dt_s)
     straight = np.polynomial.Polynomial.fit(np.arange(begin), position.values[:begin], 1)
     samples = np.arange(begin, begin + tap.force_N.size)

@@ -20,7 +20,7 @@ def runs() -> list[Measurement]:
 
 
 def late(run: Measurement, samples: int) -> Measurement:
-    x = run.require("acceleration", "")
+    x = run.require("acceleration")
     random = np.random.default_rng(samples)
     noise = 0.03 * random.standard_normal(samples)
     return replace(run, acceleration=Signal(x.start_s, x.dt_s, np.append(noise, x.values[: x.values.size - samples])))
@@ -36,9 +36,9 @@ def test_found_to_a_sample_by_a_device_ten_percent_off(runs: list[Measurement], 
 
 def test_taken_out_of_every_channel(runs: list[Measurement]) -> None:
     back = without_delay([late(runs[0], 500)], 500)[0]
-    kept = runs[0].require("acceleration", "").values.size - 500
+    kept = runs[0].require("acceleration").values.size - 500
     for name in ("command", "current", "acceleration"):
-        np.testing.assert_array_equal(back.require(name, "").values, runs[0].require(name, "").values[:kept])
+        np.testing.assert_array_equal(back.require(name).values, runs[0].require(name).values[:kept])
 
 
 def test_identified_behind_fifty_milliseconds(runs: list[Measurement]) -> None:

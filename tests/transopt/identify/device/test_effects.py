@@ -91,10 +91,10 @@ def with_effect(rig: Rig) -> Spoil:
 
     def spoilt(run: Measurement, effect: str, size: float) -> Measurement:
         assert run.grip_N is not None
-        current = Rig(rig.device, noise=0.0).record("", run.grip_N, run.require("command", "").values, 0)
-        given = current.require("current", "").values
+        current = Rig(rig.device, noise=0.0).record("", run.grip_N, run.require("command").values, 0)
+        given = current.require("current").values
         added = explicit_steps(rig.device, run.grip_N, given, effect, size) - without(run.grip_N, given.tobytes())
-        acceleration = run.require("acceleration", "")
+        acceleration = run.require("acceleration")
         return replace(run, acceleration=replace(acceleration, values=acceleration.values + added))
 
     return spoilt
@@ -118,8 +118,8 @@ def test_an_effect_is_named_and_its_size_is_what_is_missed(
     found = [missed(fit.device, run.grip_N or 0.0, fit.instrument, run) for run in spoilt]
     used = at_use(found, NOTHING)
     for run, clean, tap in zip(spoilt, taps, used, strict=False):
-        added = run.require("acceleration", "").values - clean.require("acceleration", "").values
-        whole = run.require("acceleration", "").values
+        added = run.require("acceleration").values - clean.require("acceleration").values
+        whole = run.require("acceleration").values
         # The excess is counted where the tap lasts, after the high-pass.
         expected = np.linalg.norm(added) / np.linalg.norm(whole)
         assert tap.excess == pytest.approx(expected, rel=0.25)
@@ -132,7 +132,7 @@ def test_an_amplifier_that_gives_way_is_known_by_its_current(
     rig: Rig, fit: ChainFit, taps: list[Measurement]
 ) -> None:
     run = taps[0]
-    current = run.require("current", "")
+    current = run.require("current")
     assert current_missed(fit.instrument, run)[0] < 0.005
     assert current_missed(fit.instrument, run)[1] < 2e-3
     soft = Signal(current.start_s, current.dt_s, 5.0 * np.tanh(current.values / 5.0))
@@ -143,7 +143,7 @@ def test_an_amplifier_that_gives_way_is_known_by_its_current(
 
 def test_noise_that_no_rest_tells_gives_no_verdict(fit: ChainFit, taps: list[Measurement]) -> None:
     run = taps[0]
-    signals = {name: run.require(name, "") for name in ("command", "current", "acceleration")}
+    signals = {name: run.require(name) for name in ("command", "current", "acceleration")}
     cut = replace(run, **{name: replace(x, values=x.values[195:320]) for name, x in signals.items()})
     assert np.isinf(missed(fit.device, 1.0, fit.instrument, cut).deviation)
 
@@ -180,7 +180,7 @@ def test_detection_lines_tell_even_from_odd_distortion_and_both_from_noise() -> 
 
 def test_distortion_that_the_current_has_is_the_amplifiers() -> None:
     run = periodic(lambda x: 3 * x - 0.5 * x**3, noise=0.01)
-    command = run.require("command", "")
+    command = run.require("command")
     bent = replace(run, current=replace(command, values=command.values - command.values**3 / 6))
     straight = replace(run, current=command)
     amplifiers, devices = distortion(bent), distortion(straight)

@@ -72,7 +72,7 @@ def test_transients_outside_the_fit_are_predicted_at_recorded_grips_and_between(
 
 def test_a_static_offset_of_the_accelerometer_costs_nothing(rig: Rig, found: DeviceResult) -> None:
     run = found.grips[2].kept[0]
-    signal = run.require("acceleration", "")
+    signal = run.require("acceleration")
     tilted = replace(run, acceleration=replace(signal, values=signal.values + 9.81))
     plain = compare(rig.device, 3.0, found.chosen.instrument, run)
     assert compare(rig.device, 3.0, found.chosen.instrument, tilted).nrmse == pytest.approx(plain.nrmse, rel=1e-6)
@@ -195,21 +195,21 @@ def spoiled(runs: list[Measurement], which: int, spoil: Callable[[Measurement], 
 
 
 def scaled(run: Measurement, factor: float) -> Measurement:
-    return replace(run, acceleration=run.require("acceleration", "").scaled(factor))
+    return replace(run, acceleration=run.require("acceleration").scaled(factor))
 
 
 def driven(run: Measurement, spoil: Callable[[FloatArray], FloatArray]) -> Measurement:
-    signal = run.require("current", "")
+    signal = run.require("current")
     return replace(run, current=replace(signal, values=spoil(signal.values)))
 
 
 def cut(run: Measurement, samples: int) -> Measurement:
-    signals = {name: run.require(name, "") for name in ("command", "current", "acceleration")}
+    signals = {name: run.require(name) for name in ("command", "current", "acceleration")}
     return replace(run, **{name: replace(x, values=x.values[:samples]) for name, x in signals.items()})
 
 
 def clipped(run: Measurement) -> Measurement:
-    signal = run.require("acceleration", "")
+    signal = run.require("acceleration")
     return replace(run, acceleration=replace(signal, values=np.clip(signal.values, -20.0, 20.0)))
 
 

@@ -20,7 +20,7 @@ def found(change: Change, seed: int = 0) -> list[Finding]:
     """The findings on sweeps whose accelerations (n,) at times (n,) have been changed."""
     random, runs = np.random.default_rng(seed), []
     for run in Rig(mismatched(0.1, 8)).sweeps(GRIPS_N):
-        x = run.require("acceleration", "")
+        x = run.require("acceleration")
         runs.append(replace(run, acceleration=replace(x, values=change(x.times_s, x.values, random))))
     return noise_findings(sort_trials(runs, [], AMPLIFIER, None).grips)
 

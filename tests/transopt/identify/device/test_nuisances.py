@@ -30,7 +30,7 @@ def runs(rig: Rig) -> list[Measurement]:
 
 
 def accelerated(run: Measurement, change: Callable[[Signal], Signal]) -> Measurement:
-    return replace(run, acceleration=change(run.require("acceleration", "")))
+    return replace(run, acceleration=change(run.require("acceleration")))
 
 
 def later(run: Measurement) -> Measurement:

@@ -267,18 +267,18 @@ Spoil = Callable[[Measurement], dict[str, Any]]
 
 def part(kept: slice) -> Spoil:
     return lambda run: {
-        name: replace(run.require(name, ""), values=run.require(name, "").values[kept])
+        name: replace(run.require(name), values=run.require(name).values[kept])
         for name in ("force", "acceleration", "position")
     }
 
 
 def times(name: str, factor: float) -> Spoil:
-    return lambda run: {name: run.require(name, "").scaled(factor)}
+    return lambda run: {name: run.require(name).scaled(factor)}
 
 
 def clipped(name: str, share: float) -> Spoil:
     def cut_off(run: Measurement) -> dict[str, Any]:
-        signal = run.require(name, "")
+        signal = run.require(name)
         return {name: replace(signal, values=np.minimum(signal.values, share * signal.values.max()))}
 
     return cut_off
