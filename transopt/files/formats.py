@@ -176,7 +176,7 @@ def _from_variables(found: Channels, layout: Layout, words: Vocabulary) -> tuple
             columns[name] = values
             continue
         means = known.pop(name)
-        if math.isnan(means.factor):
+        if math.isnan(means.unit.factor):
             problem = f"variable {name} is complex, and a level in dB has no phase"
             raise InputError(f"{problem}; state its unit, --units magnitude=m/s^2/V")
         for part, of in (("real", values.real), ("imaginary", values.imag)):
@@ -299,7 +299,7 @@ def _read_wav(data: bytes, layout: Layout) -> tuple[RawTable, Rate]:
         raise InputError(f"recordings.full_scale_m_s2 = {full_scale_m_s2:g}: must be above 0 m/s^2 and finite")
     rate_Hz, values = _sound(data)
     values = values[:, chosen_channel(layout.channel, [""] * values.shape[1], "channels")]
-    known = {"acceleration_m_s2": Meaning("acceleration", 1.0)}
+    known = {"acceleration_m_s2": Meaning("acceleration")}
     raw = RawTable({"acceleration_m_s2": full_scale_m_s2 * values}, known, {}, lambda k: f"sample {k}")
     return raw, Rate(float(np.divide(1.0, rate_Hz)))
 

@@ -60,7 +60,7 @@ def meaning(name: str, words: Vocabulary, units: Mapping[str, str]) -> Meaning:
     user, label = stated_unit(name, quantity, units), apart(name)[1] or ""
     own = read_unit(label, quantity) if label or name not in words.columns else Unit(1.0)
     if user is None and own is not None:
-        return Meaning(quantity, own.factor, own.per, label, slopes=own.slopes)
+        return Meaning(quantity, own, label)
     stated = with_input(user, label) if user else label
     unit = read_unit(stated, quantity)
     if unit is None:
@@ -79,7 +79,7 @@ def meaning(name: str, words: Vocabulary, units: Mapping[str, str]) -> Meaning:
     agrees = own is not None and compared is not None and compared.means(own)
     note = f"the file's column is {quote(name)}, --units says {stated}, which is taken"
     contradicts = bool(label) and not (agrees or is_sensed(stated, label))
-    return Meaning(quantity, unit.factor, unit.per, stated, note if contradicts else "", unit.slopes)
+    return Meaning(quantity, unit, stated, note if contradicts else "")
 
 
 def _unknown(names: Sequence[str], words: Vocabulary, seen: Seen) -> UnclearError:
@@ -186,7 +186,7 @@ def one_clock(
     factors = dict[int, float]()
     for at in rivals if len(rivals) > 1 else ():
         with suppress(InputError):
-            factors[at] = meaning(names[at], words, units).factor
+            factors[at] = meaning(names[at], words, units).unit.factor
     times = {at: factor * column(at) for at, factor in factors.items()}
     spans = [float(each[-1] - each[0]) for each in times.values() if each.size]
     if not spans or not spans[0] > 0 or not np.allclose(spans, spans[0], rtol=SAME_SPAN):

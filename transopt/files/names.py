@@ -19,7 +19,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 from transopt.base.errors import InputError
-from transopt.files.units import RATIOS, is_electrical, is_unit, read_unit
+from transopt.files.units import RATIOS, Unit, is_electrical, is_unit, read_unit
 
 SKIPPED = "-"
 LONGEST_NAME = 200  # characters; in a longer name no unit is looked for
@@ -107,19 +107,15 @@ class Meaning(NamedTuple):
     Attributes
     ----------
     quantity : such as "acceleration".
-    factor : from the file's unit to SI; `units.LEVEL` for a level in dB.
-    per : the input of a response, "current" or "voltage"; empty if it is not stated.
+    unit : the file's unit; SI by default.
     stated : the unit as stated by user or file; empty if neither states it.
     note : one sentence if the user states another unit than the file; empty if both agree.
-    slopes : see `units.Unit`.
     """
 
     quantity: str
-    factor: float
-    per: str = ""
+    unit: Unit = Unit(1.0)
     stated: str = ""
     note: str = ""
-    slopes: int = 0
 
 
 @dataclass(frozen=True)

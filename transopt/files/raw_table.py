@@ -51,7 +51,7 @@ class RawTable:
         """The table with a column of times from a rate, before its other columns."""
         size = max((values.size for values in self.columns.values()), default=0)
         times_s = np.asarray(rate.start_s + rate.step_s * np.arange(size), dtype=float)
-        meanings = {"time_s": Meaning("time", 1.0), **self.meanings}
+        meanings = {"time_s": Meaning("time"), **self.meanings}
         columns = {"time_s": times_s, **self.columns}
         return replace(self, columns=columns, meanings=meanings, notes=(*filter(None, [rate.note]), *self.notes))
 

@@ -172,7 +172,7 @@ def _stamped_late(as_read: Mapping[str, FloatArray], moved: Mapping[str, FloatAr
 
 
 def _to_si(name: str, values: FloatArray, table: RawTable) -> FloatArray:
-    converted = table.meanings[name].factor * values
+    converted = table.meanings[name].unit.factor * values
     bad = np.flatnonzero(~(np.abs(converted) <= LARGEST))
     if bad.size:
         at = int(bad[0])

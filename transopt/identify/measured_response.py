@@ -92,13 +92,13 @@ def read_response(
         _agreeing(meanings, driven_by)
     notes = [each.note for each in raw.meanings.values()]
     # A level in dB is not converted; its scale states the value at 0 dB.
-    stated = next((each.stated for each in meanings.values() if each.stated and not math.isnan(each.factor)), "")
+    stated = next((each.stated for each in meanings.values() if each.stated and not math.isnan(each.unit.factor)), "")
     if stated and not math.isclose(abs(scale), 1.0):
         notes.append(
             f"{stated} is converted to m/s^2 per A or V, and --scale {scale:g} multiplies besides: leave it out if "
             "it stands for the unit"
         )
-    per = next(iter(meanings.values())).per
+    per = next(iter(meanings.values())).unit.per
     return replace(found, driven_by=driven_by or per, notes=tuple(dict.fromkeys(filter(None, notes))))
 
 
@@ -112,11 +112,11 @@ def _agreeing(meanings: Mapping[str, Meaning], driven_by: str) -> None:
     # Both parts of a complex array have the same unit.
     keys = ["magnitude" if name.endswith(" part)") else each.quantity for name, each in meanings.items()]
     for each in meanings.values():
-        if driven_by and each.per and each.per != driven_by:
+        if driven_by and each.unit.per and each.unit.per != driven_by:
             unit = f"{parts(each.stated)[0]}/{INPUTS[driven_by]}"
             remedy = ",".join(f"{key}={unit}" for key in dict.fromkeys(keys))
             raise InputError(
-                f"--input {driven_by}: its unit {each.stated} says that the response is to a {each.per}; leave "
+                f"--input {driven_by}: its unit {each.stated} says that the response is to a {each.unit.per}; leave "
                 f"--input out, or state --units {remedy}"
             )
 
@@ -143,7 +143,7 @@ def _checked(frequencies_Hz: FloatArray, response: ComplexArray) -> MeasuredResp
 
 def _of_table(raw: RawTable) -> tuple[FloatArray, ComplexArray, Mapping[str, Meaning]]:
     """Frequencies [Hz], response [m/s^2 per A or V], and the meanings of the columns in a unit of the response."""
-    columns = {each.quantity: (raw.columns[name], each.factor) for name, each in raw.meanings.items()}
+    columns = {each.quantity: (raw.columns[name], each.unit.factor) for name, each in raw.meanings.items()}
     raw.rows()
     pair = next((pair for pair in PAIRS if all(part in columns for part in pair)), None)
     if pair is None or sum(part in columns for other in PAIRS for part in other) > 2:
@@ -152,14 +152,14 @@ def _of_table(raw: RawTable) -> tuple[FloatArray, ComplexArray, Mapping[str, Mea
             "magnitude_dB) and phase_deg (or phase_rad), or real and imaginary; name these by --columns, - skips one"
         )
     meanings = {name: each for name, each in raw.meanings.items() if each.quantity in RATIOS}
-    if len({(each.per, each.slopes) for each in meanings.values()}) > 1:
+    if len({(each.unit.per, each.unit.slopes) for each in meanings.values()}) > 1:
         listed = " and ".join(f"{name} in {each.stated or 'no stated unit'}" for name, each in meanings.items())
         raise InputError(f"{listed}: state the unit of both by --units real=m/s^2/V,imaginary=m/s^2/V")
     values, factor = columns["frequency"]
     (one, by), (other, other_by) = columns[pair[0]], columns[pair[1]]
     frequencies_Hz = values * factor
     # Mobility and receptance are differentiated to an accelerance.
-    slopes = max(each.slopes for each in meanings.values())
+    slopes = max(each.unit.slopes for each in meanings.values())
     slope = np.asarray((2j * np.pi * frequencies_Hz) ** slopes, dtype=complex)
     if pair[0] == "real":
         return frequencies_Hz, slope * (one * by + 1j * other * other_by), meanings
