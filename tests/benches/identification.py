@@ -3,7 +3,9 @@
 Independent of the fits: time domain, one step of the exact hold after the other.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy import signal
@@ -131,6 +133,13 @@ class Rig:
 
     def loud(self, noise: float) -> "Rig":
         return replace(self, noise=noise, runs={})
+
+
+def spoilt(run: Measurement, quantity: str, change: Callable[[FloatArray], FloatArray]) -> Measurement:
+    """A run in which the values (n,) of one signal are changed."""
+    x = run.require(quantity)
+    made: dict[str, Any] = {quantity: replace(x, values=change(x.values))}
+    return replace(run, **made)
 
 
 def assert_near(model: StateSpace, truth: StateSpace, high_Hz: float = 800.0) -> None:

@@ -98,7 +98,7 @@ def heat_record(run: Measurement, R_ohm: float, ripple_A: float = PWM_RIPPLE_A) 
             "while it is heated"
         )
     if run.winding is not None:
-        winding = _channel(run.winding, np.ones(current.values.size))
+        winding = _channel(run.winding)
     elif run.voltage is not None:
         winding = _by_resistance(run.name, current.values, run.voltage.values, R_ohm)
     else:
@@ -108,7 +108,7 @@ def heat_record(run: Measurement, R_ohm: float, ripple_A: float = PWM_RIPPLE_A) 
         dt_s=current.dt_s,
         heating_A2=effective_square(current.values, ripple_A),
         winding=winding,
-        housing=None if run.housing is None else _channel(run.housing, np.ones(current.values.size)),
+        housing=None if run.housing is None else _channel(run.housing),
         ambient_C=None if ambient is None else float(ambient.values.mean()),
         ambient_drift_K=0.0 if ambient is None else _drift(ambient.values),
         R_ohm=R_ohm,
@@ -133,8 +133,8 @@ def _drift(ambient_C: FloatArray) -> float:
     return float(np.ptp([part.mean() for part in np.array_split(ambient_C, min(10, ambient_C.size))]))
 
 
-def _channel(x: Signal, weight: FloatArray) -> Channel:
-    return Channel(x.values, weight, _noise(x.values))
+def _channel(x: Signal) -> Channel:
+    return Channel(x.values, np.ones(x.values.size), _noise(x.values))
 
 
 def _noise(values: FloatArray) -> float:

@@ -30,6 +30,12 @@ def stretched(tap: Recording, *, time: float = 1.0, acceleration: float = 1.0, p
     )
 
 
+@pytest.fixture
+def tap(taps: list[Recording]) -> Recording:
+    """A tap on wood."""
+    return taps[0]
+
+
 @pytest.mark.parametrize("kind", KINDS)
 class TestEveryObject:
     """From rubber to metal: the taps pass, and with any column in another unit the right one is blamed."""
@@ -56,8 +62,7 @@ class TestEveryObject:
             assert words in prepare(stretched(tap, **factors), SETTINGS).implausible
 
 
-def test_a_position_or_a_speed_of_another_unit() -> None:
-    tap = recordings_of(problems.load("wood_on_foam"))[0]
+def test_a_position_or_a_speed_of_another_unit(tap: Recording) -> None:
     fitted = replace(tap, speed_m_s=None)
     for factor in (1e-3, 1e3):
         said = prepare(stretched(fitted, position=factor), SETTINGS).implausible
@@ -65,8 +70,7 @@ def test_a_position_or_a_speed_of_another_unit() -> None:
     assert "check the unit of the speed" in prepare(replace(tap, speed_m_s=10.0), SETTINGS).implausible
 
 
-def test_what_a_scene_states_itself_is_named() -> None:
-    tap = recordings_of(problems.load("wood_on_foam"))[0]
+def test_what_a_scene_states_itself_is_named(tap: Recording) -> None:
     turned = SETTINGS.model_copy(update={"polarity": "negative"})
     assert 'recordings.polarity = "negative"' in prepare(tap, turned).implausible
     late = SETTINGS.model_copy(update={"onset_s": 0.1})
@@ -74,16 +78,15 @@ def test_what_a_scene_states_itself_is_named() -> None:
 
 
 @pytest.mark.parametrize("onset_s", [-0.1, 0.2, 1e9])
-def test_an_onset_outside_of_the_recording_is_refused(onset_s: float) -> None:
-    tap = recordings_of(problems.load("wood_on_foam"))[0]
+def test_an_onset_outside_of_the_recording_is_refused(tap: Recording, onset_s: float) -> None:
     outside = SETTINGS.model_copy(update={"onset_s": onset_s})
     with pytest.raises(InputError, match=r"recordings.onset_s = .* outside of the recording, 0 to 0.1495 s: .*leave"):
         prepare(tap, outside)
     assert prepare(tap, SETTINGS).onset_s == pytest.approx(0.03, abs=1e-3)
 
 
-def test_without_a_speed_the_peak_is_looked_at() -> None:
-    tap = replace(recordings_of(problems.load("wood_on_foam"))[0], speed_m_s=None, position=None)
+def test_without_a_speed_the_peak_is_looked_at(tap: Recording) -> None:
+    tap = replace(tap, speed_m_s=None, position=None)
     assert not prepare(tap, SETTINGS).implausible
     for factor in (0.05, 5000.0):
         said = prepare(stretched_acceleration(tap, factor), SETTINGS).implausible
@@ -94,9 +97,8 @@ def stretched_acceleration(tap: Recording, factor: float) -> Recording:
     return replace(tap, acceleration=replace(tap.acceleration, values=factor * tap.acceleration.values))
 
 
-def test_gravity_without_a_baseline_blames_nobody() -> None:
+def test_gravity_without_a_baseline_blames_nobody(tap: Recording) -> None:
     """A recorder that triggers on the pulse leaves nothing to find the offset from."""
-    tap = recordings_of(problems.load("wood_on_foam"))[0]
     onset = prepare(tap, SETTINGS).onset_s
     first = int(onset / tap.acceleration.dt_s)
     cut = Signal(0.0, tap.acceleration.dt_s, tap.acceleration.values[first:] + STANDARD_GRAVITY_M_S2)
@@ -133,13 +135,13 @@ def test_the_position_in_the_place_of_the_acceleration() -> None:
     assert "that the acceleration is no other column" in said
 
 
-def test_refused_unless_accepted() -> None:
-    wrong = stretched(recordings_of(problems.load("wood_on_foam"))[0], acceleration=0.1)
+def test_refused_unless_accepted(tap: Recording) -> None:
+    wrong = stretched(tap, acceleration=0.1)
     with pytest.raises(InputError, match=r"unit of the acceleration.*recordings.implausible = \"accept\""):
         assign([prepare(wrong, SETTINGS)], [0.1], SETTINGS)
     accepted = SETTINGS.model_copy(update={"implausible": "accept"})
-    ((tap, _),) = assign([prepare(wrong, accepted)], [0.1], accepted)[0]
-    assert tap.implausible
+    ((taken, _),) = assign([prepare(wrong, accepted)], [0.1], accepted)[0]
+    assert taken.implausible
 
 
 @pytest.mark.skipif(not IMPACTS.is_dir(), reason="the recorded impacts (CC BY-SA) are not part of the project")
@@ -150,8 +152,7 @@ def test_recorded_impacts_pass() -> None:
     assert not any(tap.implausible for tap in taps)
 
 
-def test_a_tap_of_70_g_or_of_10_m_s_is_asked_about() -> None:
-    tap = recordings_of(problems.load("wood_on_foam"))[0]
+def test_a_tap_of_70_g_or_of_10_m_s_is_asked_about(tap: Recording) -> None:
     unknown = replace(tap, speed_m_s=None, position=None)
     high = 70 * STANDARD_GRAVITY_M_S2 / prepare(unknown, SETTINGS).peak_m_s2
     said = prepare(stretched_acceleration(unknown, high), SETTINGS).implausible
@@ -168,8 +169,7 @@ def test_a_tap_of_70_g_or_of_10_m_s_is_asked_about() -> None:
 
 
 class TestSecondHit:
-    def hit_twice(self, after_s: float, share: float) -> Recording:
-        tap = recordings_of(problems.load("wood_on_foam"))[0]
+    def hit_twice(self, tap: Recording, after_s: float, share: float) -> Recording:
         x = tap.acceleration
         onset, size = prepare(tap, SETTINGS).onset_s, prepare(tap, SETTINGS).peak_m_s2
         t = x.times_s - onset - after_s
@@ -177,8 +177,8 @@ class TestSecondHit:
         return replace(tap, acceleration=replace(x, values=x.values + share * size * pulse))
 
     @pytest.mark.parametrize(("after_s", "share"), [(0.03, 0.4), (0.05, 0.9), (0.08, 0.3)])
-    def test_is_named(self, after_s: float, share: float) -> None:
-        found = prepare(self.hit_twice(after_s, share), SETTINGS)
+    def test_is_named(self, tap: Recording, after_s: float, share: float) -> None:
+        found = prepare(self.hit_twice(tap, after_s, share), SETTINGS)
         (note,) = [each for each in found.notes if each.startswith("a second hit ")]
         assert float(note.split()[3]) == pytest.approx(1e3 * after_s, abs=2)
         assert float(note.split()[7]) == pytest.approx(100 * share, rel=0.3)

@@ -239,6 +239,8 @@ def sort_trials(
         found.append(Check.BANDWIDTH.at("accelerometer_Hz"))
     groups, grips = by_grip(runs), list[Grip]()
     at = {id(run): recorded_at(run, list(groups)) for run in transients}
+    outside = {id(run): _outside(run, list(groups)) for run in transients if at[id(run)] is None}
+    found += [finding for each in outside.values() for finding in each]
     parts = dict[float, tuple[list[Measurement], list[Measurement]]]()
     for grip_N, group in groups.items():
         in_order = sorted(group, key=runs.index)
@@ -269,12 +271,8 @@ def sort_trials(
         found += refuse(again)
         grips.append(Grip(grip_N, response, tuple(fitted), tuple(kept)))
         tick()
-    between = list[Measurement]()
-    for run in [run for run in transients if at[id(run)] is None]:
-        if outside := _outside(run, list(groups)):
-            found += outside
-            continue
-        between.append(run)
+    between = [run for run in transients if outside.get(id(run)) == []]
+    for run in between:
         beside = min(
             (grip for grip in grips if grip.grip_N > 0), key=lambda grip: abs(grip.grip_N - (run.grip_N or 0.0))
         )

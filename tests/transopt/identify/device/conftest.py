@@ -6,15 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.benches.identification import ACCELEROMETER_HZ, AMPLIFIER, DT_S, Rig
+from tests.benches.identification import ACCELEROMETER_HZ, AMPLIFIER, DEFAULT, DT_S, Rig
 from transopt.base.signals import FloatArray
 from transopt.identify.device.chain import GripResponse
+from transopt.identify.device.identify import Settings
 from transopt.identify.device.response import Instrument, responses, sampled_response
+from transopt.identify.device.result import Kind
 from transopt.identify.device.trials import sort_trials
 from transopt.identify.spectrum import TransferEstimate
 from transopt.plant.state_space import StateSpace
 
 INSTRUMENT = Instrument(DT_S, AMPLIFIER, ACCELEROMETER_HZ)
+SETTINGS = Settings(nominal=DEFAULT, scene_plant=DEFAULT.plant, amplifier=AMPLIFIER, kind=Kind.DRIVE, random_starts=1)
 Respond = Callable[..., GripResponse]
 
 

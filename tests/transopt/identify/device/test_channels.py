@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from tests.benches.identification import AMPLIFIER, DEFAULT, Rig, assert_near, mismatched
-from tests.transopt.identify.device.conftest import INSTRUMENT
+from tests.transopt.identify.device.conftest import INSTRUMENT, SETTINGS
 from transopt.identify.device.chain import ChainSearch, Coordinates, GripResponse, unknowns_of
 from transopt.identify.device.chain_fit import fit_per_grip, refit
-from transopt.identify.device.identify import Settings, identify
+from transopt.identify.device.identify import identify
 from transopt.identify.device.response import ACCELERATION, CURRENT, POSITION
 from transopt.identify.device.response import INSTRUMENT as UNKNOWNS
 from transopt.identify.device.result import Kind, device_part
@@ -19,7 +19,6 @@ from transopt.identify.measurement import Measurement
 
 GRIPS_N = (0.0, 1.0, 3.0, 5.0)
 TRIALS = 3
-SETTINGS = Settings(nominal=DEFAULT, scene_plant=DEFAULT.plant, amplifier=AMPLIFIER, kind=Kind.DRIVE, random_starts=1)
 DRIVES = {"both": (), "command": ("current",), "current": ("command",)}  # what is read, and what is then left out
 POSITIONS = ("every trial", "all but one", "no trial")
 

@@ -8,15 +8,15 @@ what the scene states, an encoder, an accelerometer with a pole. The arm's inter
 import numpy as np
 import pytest
 
-from tests.benches.identification import AMPLIFIER, DEFAULT, Rig, mismatched
+from tests.benches.identification import AMPLIFIER, Rig, mismatched
+from tests.transopt.identify.device.conftest import SETTINGS
 from transopt.base.signals import FloatArray
 from transopt.identify.device.chain import SHARED
-from transopt.identify.device.identify import Settings, identify
-from transopt.identify.device.result import Kind, device_part
+from transopt.identify.device.identify import identify
+from transopt.identify.device.result import device_part
 from transopt.plant.amplifier import Amplifier
 from transopt.scene.model_parts import DriveDevice
 
-SETTINGS = Settings(nominal=DEFAULT, scene_plant=DEFAULT.plant, amplifier=AMPLIFIER, kind=Kind.DRIVE, random_starts=1)
 FRESH = 7000
 
 

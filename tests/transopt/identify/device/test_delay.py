@@ -1,15 +1,12 @@
 """A delay of the acceleration's channel: found to the sample, taken out, and none found where there is none."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from tests.benches.identification import AMPLIFIER, DEFAULT, DT_S, Rig, mismatched
-from transopt.base.signals import Signal
+from tests.benches.identification import AMPLIFIER, DEFAULT, DT_S, Rig, mismatched, spoilt
+from tests.transopt.identify.device.conftest import SETTINGS
 from transopt.identify.device.cleaned import delay_samples, without_delay
-from transopt.identify.device.identify import Settings, identify
-from transopt.identify.device.result import Kind
+from transopt.identify.device.identify import identify
 from transopt.identify.device.trials import instrument_of
 from transopt.identify.measurement import Measurement
 
@@ -20,10 +17,8 @@ def runs() -> list[Measurement]:
 
 
 def late(run: Measurement, samples: int) -> Measurement:
-    x = run.require("acceleration")
-    random = np.random.default_rng(samples)
-    noise = 0.03 * random.standard_normal(samples)
-    return replace(run, acceleration=Signal(x.start_s, x.dt_s, np.append(noise, x.values[: x.values.size - samples])))
+    noise = 0.03 * np.random.default_rng(samples).standard_normal(samples)
+    return spoilt(run, "acceleration", lambda x: np.append(noise, x[: x.size - samples]))
 
 
 @pytest.mark.parametrize("samples", [0, 3, 80, 500, 2000])
@@ -42,7 +37,6 @@ def test_taken_out_of_every_channel(runs: list[Measurement]) -> None:
 
 
 def test_identified_behind_fifty_milliseconds(runs: list[Measurement]) -> None:
-    settings = Settings(nominal=DEFAULT, scene_plant=None, amplifier=AMPLIFIER, kind=Kind.DRIVE)
-    result = identify([late(run, 500) for run in runs], [], settings)
+    result = identify([late(run, 500) for run in runs], [], SETTINGS)
     assert any("50 ms (500 samples) later than any device answers" in str(found) for found in result.findings)
     assert max(result.chosen.recorded.values()) < 0.02

@@ -7,8 +7,9 @@ import pytest
 
 from controller.record.excitation import sweep_command
 from tests.benches.identification import AMPLIFIER, DEFAULT, DT_S, Rig, mismatched
+from tests.transopt.identify.device.conftest import SETTINGS
 from transopt.identify.device.chain import DriveChain
-from transopt.identify.device.identify import Settings, identify
+from transopt.identify.device.identify import identify
 from transopt.identify.device.response import CURRENT
 from transopt.identify.device.result import DeviceResult, Kind, device_part
 from transopt.identify.device.trials import current_follows, sort_trials
@@ -16,7 +17,6 @@ from transopt.identify.measurement import Measurement
 
 GRIPS_N = (0.0, 1.0, 3.0, 5.0)
 LOW_HZ = {True: 20.0, False: 1.0}  # a free device drifts away from what is slower
-SETTINGS = Settings(nominal=DEFAULT, scene_plant=DEFAULT.plant, amplifier=AMPLIFIER, kind=Kind.AUTO)
 DRIVES = {
     "default": lambda seed: mismatched(0.1, seed),
     # A heavier drive behind a softer transmission, and a hand with less skin.
@@ -50,7 +50,7 @@ def worst_error(result: DeviceResult, device: DriveChain) -> float:
 def check(drive: str, seed: int, *, encoder: bool) -> None:
     device, runs = recorded(drive, seed, encoder=encoder)
     known = replace(DEFAULT, force_per_current_N_A=device.force_per_current_N_A)
-    result = identify(runs, [], replace(SETTINGS, nominal=known))
+    result = identify(runs, [], replace(SETTINGS, nominal=known, kind=Kind.AUTO))
     assert result.chosen.kind is Kind.DRIVE
     assert worst_error(result, device) < 1e-3
 

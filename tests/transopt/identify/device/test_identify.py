@@ -13,13 +13,22 @@ from controller.sim.sensors import Sensors
 from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import device_of
 from controller.sim.user import StillHand
-from tests.benches.identification import ACCELEROMETER_HZ, AMPLIFIER, DEFAULT, DT_S, Rig, assert_near, mismatched
+from tests.benches.identification import (
+    ACCELEROMETER_HZ,
+    DEFAULT,
+    DT_S,
+    Rig,
+    assert_near,
+    mismatched,
+    spoilt,
+)
+from tests.transopt.identify.device.conftest import SETTINGS
 from tests.transopt.identify.device.test_black_box import four_masses
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray, Signal
 from transopt.identify.device.chain import DriveChain
 from transopt.identify.device.findings import lack_of_fit
-from transopt.identify.device.identify import Settings, identify
+from transopt.identify.device.identify import identify
 from transopt.identify.device.result import DeviceResult, Kind, device_part
 from transopt.identify.device.validation import compare
 from transopt.identify.findings import Fault
@@ -28,7 +37,6 @@ from transopt.plant.state_space import StateSpace
 from transopt.scene.scene import Scene
 
 GRIPS_N = (0.0, 1.0, 3.0, 5.0)
-SETTINGS = Settings(nominal=DEFAULT, scene_plant=DEFAULT.plant, amplifier=AMPLIFIER, kind=Kind.DRIVE, random_starts=1)
 
 
 @pytest.fixture(scope="module")
@@ -199,18 +207,15 @@ def scaled(run: Measurement, factor: float) -> Measurement:
 
 
 def driven(run: Measurement, spoil: Callable[[FloatArray], FloatArray]) -> Measurement:
-    signal = run.require("current")
-    return replace(run, current=replace(signal, values=spoil(signal.values)))
+    return spoilt(run, "current", spoil)
 
 
 def cut(run: Measurement, samples: int) -> Measurement:
-    signals = {name: run.require(name) for name in ("command", "current", "acceleration")}
-    return replace(run, **{name: replace(x, values=x.values[:samples]) for name, x in signals.items()})
+    return run.part(0, samples)
 
 
 def clipped(run: Measurement) -> Measurement:
-    signal = run.require("acceleration")
-    return replace(run, acceleration=replace(signal, values=np.clip(signal.values, -20.0, 20.0)))
+    return spoilt(run, "acceleration", lambda x: np.clip(x, -20.0, 20.0))
 
 
 @pytest.fixture(scope="module")

@@ -1,12 +1,11 @@
 """What the noise of records is made of is told by name, and a plain record has no such name."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tests.benches.identification import AMPLIFIER, Rig, mismatched
+from tests.benches.identification import AMPLIFIER, DT_S, Rig, mismatched, spoilt
 from transopt.base.signals import FloatArray
 from transopt.identify.device.findings import noise_findings
 from transopt.identify.device.trials import sort_trials
@@ -18,10 +17,9 @@ Change = Callable[[FloatArray, FloatArray, np.random.Generator], FloatArray]
 
 def found(change: Change, seed: int = 0) -> list[Finding]:
     """The findings on sweeps whose accelerations (n,) at times (n,) have been changed."""
-    random, runs = np.random.default_rng(seed), []
-    for run in Rig(mismatched(0.1, 8)).sweeps(GRIPS_N):
-        x = run.require("acceleration")
-        runs.append(replace(run, acceleration=replace(x, values=change(x.times_s, x.values, random))))
+    random, times_s = np.random.default_rng(seed), DT_S * np.arange(100_000)
+    sweeps = Rig(mismatched(0.1, 8)).sweeps(GRIPS_N)
+    runs = [spoilt(run, "acceleration", lambda x: change(times_s[: x.size], x, random)) for run in sweeps]
     return noise_findings(sort_trials(runs, [], AMPLIFIER, None).grips)
 
 

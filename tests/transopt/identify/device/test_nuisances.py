@@ -6,11 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.benches.identification import AMPLIFIER, DEFAULT, Rig, mismatched
-from transopt.base.signals import Signal
+from tests.benches.identification import AMPLIFIER, DEFAULT, Rig, mismatched, spoilt
+from tests.transopt.identify.device.conftest import SETTINGS
 from transopt.identify.device.chain_fit import ChainFit, fit_chain
-from transopt.identify.device.identify import Settings, identify
-from transopt.identify.device.result import Kind
+from transopt.identify.device.identify import identify
 from transopt.identify.device.trials import sort_trials
 from transopt.identify.measurement import Measurement
 
@@ -29,16 +28,12 @@ def runs(rig: Rig) -> list[Measurement]:
     return rig.sweeps(GRIPS_N, seed=4)
 
 
-def accelerated(run: Measurement, change: Callable[[Signal], Signal]) -> Measurement:
-    return replace(run, acceleration=change(run.require("acceleration")))
-
-
 def later(run: Measurement) -> Measurement:
-    return accelerated(run, lambda x: replace(x, values=np.append(0.0, x.values[:-1])))
+    return spoilt(run, "acceleration", lambda x: np.append(0.0, x[:-1]))
 
 
 def louder(run: Measurement) -> Measurement:
-    return accelerated(run, lambda x: x.scaled(1.2))
+    return spoilt(run, "acceleration", lambda x: 1.2 * x)
 
 
 def unstated(run: Measurement) -> Measurement:
@@ -83,8 +78,7 @@ def test_a_nuisance_is_found_and_the_device_is_that_without_it(case: str, rig: R
 
 
 def test_what_was_found_is_named_with_what_to_do(runs: list[Measurement]) -> None:
-    settings = Settings(nominal=DEFAULT, scene_plant=None, amplifier=AMPLIFIER, kind=Kind.DRIVE)
-    result = identify([unstated(louder(run)) for run in runs], [], settings)
+    result = identify([unstated(louder(run)) for run in runs], [], SETTINGS)
     assert result.causes == ["unstated accelerometer pole", "accelerometer gain"]
     said = " | ".join(str(finding) for finding in result.findings)
     assert "no file states it: taken out of the records" in said
@@ -110,5 +104,4 @@ def test_hands_that_vary_from_trial_to_trial_widen_the_intervals_and_are_named(r
     assert np.median(wider) > 5
     off = np.abs(varying.unknowns - varying.coordinates.of(rig.device)) / np.sqrt(np.diag(varying.covariance))
     assert np.median(off) < 2
-    settings = Settings(nominal=DEFAULT, scene_plant=None, amplifier=AMPLIFIER, kind=Kind.DRIVE)
-    assert "varying hand" in identify(runs, [], settings).causes
+    assert "varying hand" in identify(runs, [], SETTINGS).causes
