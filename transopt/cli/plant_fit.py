@@ -163,6 +163,9 @@ def _check_plausible(
     if not wrong and resonance_Hz and found:
         nearest = min(found, key=lambda each: abs(np.log(each / resonance_Hz)))
         wrong = against_sheet(nearest, resonance_Hz, "resonance", "Hz")
+        if not wrong:
+            off = f"{100 * (nearest / resonance_Hz - 1):+.2g} %"
+            terminal.console().print(f"by the sheet {resonance_Hz:g} Hz; measured {nearest:.4g} Hz, {off}")
     if not wrong and rms_g:
         if not rms_input:
             raise InputError(f"--rms-g {rms_g:g}: at which sine? state --rms-{unit} as well")
@@ -180,6 +183,7 @@ def _say_and_save(fit: "ResponseFit", states: str, notes: Sequence[str], out: Pa
     import numpy as np
 
     from transopt.base.plotting import save_figure
+    from transopt.base.writing import percent
     from transopt.report.fits import response_figure
     from transopt.scene.plant_file import save_plant
 
@@ -201,8 +205,10 @@ def _say_and_save(fit: "ResponseFit", states: str, notes: Sequence[str], out: Pa
         else f"{abs(fit.plant.response(np.zeros(1))[0]):.3g} m/s^2 per {fit.plant.driven_by.unit} under a constant "
         "input, where nothing was measured"
     )
-    misfit = f"misfit {100 * fit.misfit:.2g} % (rms), at most {100 * fit.worst:.2g} % of the largest response, "
-    line(f"{misfit}at {fit.worst_Hz:.4g} Hz" + (f"; {sure}" if sure else ""))
+    worst = f"at most {percent(fit.worst)} % of the largest response, at {fit.worst_Hz:.4g} Hz"
+    if fit.worst == 0:
+        worst = "nowhere more than the noise"
+    line(f"misfit {percent(fit.misfit)} % (rms), {worst}" + (f"; {sure}" if sure else ""))
     if not fit.fit_to_design_with:
         line(f"{picture}; {out} is not written")
         line(f"not fit to design with: {unfit_advice(fit.misfit, fit.plant.order)}", "red")

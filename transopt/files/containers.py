@@ -13,6 +13,7 @@ import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import date, datetime, time
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -95,6 +96,8 @@ def sheet_as_text(data: bytes) -> bytes:
 
 
 def _cell(value: object) -> str:
+    if type(value) is date:  # an instant at midnight
+        value = datetime.combine(value, time())
     return repr(value) if isinstance(value, float) else " ".join(str(value).replace(";", ",").split())
 
 

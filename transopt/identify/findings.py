@@ -86,11 +86,11 @@ class Check(Enum):
         "{quantity}: {count} samples at the {side} value {value:.4g} {unit}, first at {first_s:.4g} s; lower the "
         "amplitude, or take a sensor of wider range, and record again")
     CUT_SHORT = Fault.CUT_SHORT, NOTED, END_PART, (
-        "{quantity} ends {last:.3g} {unit} off its rest, {part:.0%} of its peak, must be below {limit:.0%}; record "
+        "{quantity} ends {last:.3g} {unit} off its rest, {part:.0%} of its peak, should be below {limit:.0%}; record "
         "until everything rests")
     BEGUN_LATE = Fault.CUT_SHORT, NOTED, END_PART, (
-        "{quantity} begins {first:.3g} {unit} off its rest, {part:.0%} of its peak, must be below {limit:.0%}: what "
-        "came before is not known, so that nothing is judged by this record; begin it before the command does")
+        "{quantity} begins {first:.3g} {unit} off its rest, {part:.0%} of its peak, should be below {limit:.0%}: "
+        "what came before is not known, so that nothing is judged by this record; begin it before the command does")
     RATES = Fault.RATES, FATAL, None, (
         "{rate_Hz:.6g} Hz, {first} {wanted_Hz:.6g} Hz: must be one rate; record all trials at the servo's")
     FEW_CYCLES = Fault.TOO_FEW_CYCLES, NOTED, LEAST_CYCLES, _CYCLES

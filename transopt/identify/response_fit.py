@@ -39,6 +39,7 @@ RESOLVED = 0.5  # of the distance between points: the least width of a resonance
 HIGHEST_ORDER = 40
 MOST_MISFIT = 0.05  # a fit with more is not fit to design with
 COSTS_NOTHING = 1.1  # the zeros at s = 0 are imposed if the misfit stays below this times that without them
+CERTAIN = 3.0  # standard deviations allowed for noise
 EXACT = 1e-6  # a misfit below this is rounding: the zeros are imposed without comparing
 
 
@@ -129,7 +130,8 @@ class ResponseFit:
     plant : with the acceleration as its only output, since nothing else was measured.
     frequencies_Hz : (m,) points within the band. measured : (m,) response there [m/s^2 per A or V].
     misfit : relative rms error over the band.
-    worst_Hz : frequency of the largest error. worst : that error over the largest magnitude of the response.
+    worst_Hz : frequency of the largest error. worst : that error over the largest magnitude of the response. Of
+        points whose noise is known only what exceeds `CERTAIN` standard deviations counts.
     at_rest : whether the fit has the two zeros at s = 0.
     noise : misfit that a perfect fit would show because of the points' noise; 0 where it is not known.
     """
@@ -216,13 +218,14 @@ def fit_response(
         driven_by=driven_by,
     )
     off = np.abs(plant.response(f) - G)
+    beyond = off if deviations is None else np.maximum(off - CERTAIN * deviations[inside], 0.0)
     return ResponseFit(
         plant=plant,
         frequencies_Hz=f,
         measured=G,
         misfit=float(np.linalg.norm(weight * off) / np.linalg.norm(weight * G)),
-        worst_Hz=float(f[off.argmax()]),
-        worst=float(off.max()) / largest,
+        worst_Hz=float(f[beyond.argmax()]),
+        worst=float(beyond.max()) / largest,
         at_rest=rests,
         noise=noise,
     )

@@ -15,7 +15,7 @@ from transopt.base.shown import brief
 from transopt.identify.checks import check_measurement
 from transopt.identify.findings import COHERENT, refuse
 from transopt.identify.measurement import Measurement
-from transopt.identify.response_fit import ResponseFit, fit_response
+from transopt.identify.response_fit import CERTAIN, ResponseFit, fit_response
 from transopt.identify.spectrum import Trial, estimate_transfer
 from transopt.plant.state_space import CURRENT_INPUT, VOLTAGE_INPUT
 
@@ -23,7 +23,6 @@ ORDERS = (2, 3, 4, 5, 6, 8)  # tried when the user states no order
 OF_NYQUIST = 0.9  # share of the Nyquist frequency above which anti-alias filter and converter distort the response
 EXACT = 3e-3  # of the largest response: error of the estimate by the record's ends and by curvature within a band
 ENOUGH = 0.01  # misfit beyond that of the noise at which no more states are tried
-CERTAIN = 3.0  # standard deviations allowed for the misfit of the noise
 LEAST_BINS = 12  # twice what two states need: with fewer bands a plant cannot be told from noise
 MOST_UNSURE = 0.05  # largest relative error of the fitted response due to noise
 LONGER = 1.5  # factor on the proposed length of a sweep, since a band holds a whole number of lines

@@ -11,13 +11,14 @@ from functools import lru_cache
 import numpy as np
 
 from transopt.base.errors import InputError
-from transopt.base.signals import FloatArray
+from transopt.base.signals import FloatArray, Signal
 from transopt.recordings.recording import Recording
 
 UNKNOWN = "unknown"  # source of a speed that is not known
 FITTED = "position"  # source of a fitted speed
 SPEED_FIT_S = 10e-3  # a quadratic over 10 ms before contact: a line would be biased by the hand's acceleration
 LEAST_SAMPLES = 8
+CONTRADICTED = 0.15  # relative difference of a stated speed from the position's, above which a note reports it
 UNSURE_SPEED = 0.05  # half the 95 % interval over the speed, above which a note reports it
 UNKNOWN_SPEED = 0.2  # half the 95 % interval over the speed, above which the fit is refused
 LAST_STEP = 1e-9  # relative step of Newton's method at which it stops; the next would be its square, below rounding
@@ -36,8 +37,7 @@ def incoming_speed(recording: Recording, onset_s: float) -> tuple[float, str, li
     if recording.position is None:
         return float("nan"), UNKNOWN, []
     position = recording.position
-    before = slice(position.before(onset_s - SPEED_FIT_S), position.until(onset_s))
-    z = position.values[before]
+    z = _before_contact(position, onset_s)
     lead_ms = 1e3 * min(SPEED_FIT_S, onset_s - position.start_s)
     remedy = f"record {SPEED_FIT_S * 1e3:g} ms before contact, or state `# speed_m_s: ...`"
     if z.size < LEAST_SAMPLES:
@@ -45,9 +45,8 @@ def incoming_speed(recording: Recording, onset_s: float) -> tuple[float, str, li
             f"{recording.name}: position_m has {z.size} samples in the {SPEED_FIT_S * 1e3:g} ms "
             f"before contact, {LEAST_SAMPLES} needed to fit the speed: {remedy}"
         )
-    first_s = position.start_s + position.dt_s * before.start - onset_s
-    (_, slope, _), (_, error, _) = (part.tolist() for part in fitted(first_s, position.dt_s, z, position.count, 3))
-    speed, share = -slope, abs(error / slope) if slope else np.inf
+    speed, error = _fitted_speed(position, onset_s, z)
+    share = error / abs(speed) if speed else np.inf
     if not speed > 0 and speed + error <= 0:
         raise InputError(
             f"{recording.name}: speed fitted from position_m = {speed:g} m/s: must be > 0 (z is positive out of "
@@ -58,6 +57,35 @@ def incoming_speed(recording: Recording, onset_s: float) -> tuple[float, str, li
         limit = f"limit +- {100 * UNKNOWN_SPEED:g} % (95 %)"
         raise InputError(f"{recording.name}: {found}, {limit}: {remedy}")
     return speed, FITTED, [f"{found} (95 %): {remedy}"] if share > UNSURE_SPEED else []
+
+
+def contradiction(recording: Recording, onset_s: float) -> str:
+    """Note that the position contradicts the stated speed; empty if it agrees, or cannot tell."""
+    stated, position = recording.speed_m_s, recording.position
+    if stated is None or position is None:
+        return ""
+    z = _before_contact(position, onset_s)
+    if z.size < LEAST_SAMPLES:
+        return ""
+    speed, error = _fitted_speed(position, onset_s, z)
+    if abs(speed - stated) <= error + CONTRADICTED * stated or error > UNKNOWN_SPEED * abs(speed):
+        return ""
+    return (
+        f"the position before contact has {speed:.3g} +- {error:.2g} m/s, stated are {stated:.3g} m/s: check which "
+        "is right, since the tap is compared and scaled by the stated speed"
+    )
+
+
+def _before_contact(position: Signal, onset_s: float) -> FloatArray:
+    """(n,) positions over the last 10 ms before contact."""
+    return position.values[position.before(onset_s - SPEED_FIT_S) : position.until(onset_s)]
+
+
+def _fitted_speed(position: Signal, onset_s: float, z: FloatArray) -> tuple[float, float]:
+    """Speed into the object at contact and half its 95 % interval [m/s]; `z` are the positions before contact."""
+    first_s = position.start_s + position.dt_s * position.before(onset_s - SPEED_FIT_S) - onset_s
+    (_, slope, _), (_, error, _) = (part.tolist() for part in fitted(first_s, position.dt_s, z, position.count, 3))
+    return -slope, abs(error)
 
 
 def fitted(first_s: float, dt_s: float, z: FloatArray, count: float, terms: int) -> tuple[FloatArray, FloatArray]:

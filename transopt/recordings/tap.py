@@ -23,7 +23,7 @@ from transopt.recordings.onset import Upright, contact, onsets_of, rises, uprigh
 from transopt.recordings.plausible import HAND_M_S, implausible_motion, implausible_time
 from transopt.recordings.recording import Recording, load_recording
 from transopt.recordings.settings import Recordings
-from transopt.recordings.speed import FITTED, UNKNOWN, incoming_speed
+from transopt.recordings.speed import FITTED, UNKNOWN, contradiction, incoming_speed
 from transopt.recordings.split import split, white_noises
 
 CLIPPED_RUN = 3  # samples; two equal ones may be chance
@@ -198,6 +198,7 @@ def _speed(
         gravity = 0.0 if is_level_known else median(x.values)
         freed = replace(x, values=x.values - gravity)
         doubtful = implausible_motion(freed, onset_s, speed, settings, fitted=source == FITTED)
+        notes = [*notes, *filter(None, [contradiction(recording, onset_s)])]
     return speed, source, doubtful, notes
 
 

@@ -86,8 +86,10 @@ def seen(file: str) -> tuple[float, float, float]:
 @pytest.mark.parametrize("seed", [101, 102, 103])
 def test_two_seconds_of_time_volts_and_g_are_a_plant_within_one_percent(run: Run, seed: int) -> None:
     actuator = record("sweep.csv", seed)
-    outcome = run("plant", "sweep", "sweep.csv", "--out", "plant.npz")
+    outcome = run("plant", "sweep", "sweep.csv", "--out", "plant.npz", "--resonance-Hz", 180)
     assert outcome.code == 0, outcome.out + outcome.err
+    assert "by the sheet 180 Hz; measured 150 Hz, -17 %" in outcome.out
+    assert "nowhere more than the noise" in outcome.out
     assert "fit to design with" in outcome.out
     resonance_Hz, quality, gain = seen("plant.npz")
     assert resonance_Hz == pytest.approx(150, rel=0.002)

@@ -1,5 +1,7 @@
 """The speed that is fitted to the position before contact, and what is said where that is worth little."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy
@@ -7,7 +9,7 @@ import scipy
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray, Signal
 from transopt.recordings.recording import Recording
-from transopt.recordings.speed import UNKNOWN, incoming_speed, two_sided
+from transopt.recordings.speed import UNKNOWN, contradiction, incoming_speed, two_sided
 
 RATE_HZ = 10e3
 COUNT_M = 24.5e-6
@@ -60,6 +62,17 @@ def test_the_interval_holds_the_speed() -> None:
         half = float(notes[0].partition("+- ")[2].partition(" ")[0]) if notes else 0.05 * speed
         held += abs(speed - 0.2) <= half
     assert held >= 180
+
+
+def test_a_stated_speed_that_the_position_contradicts_is_said() -> None:
+    taken = approach(0.02)
+    assert not contradiction(taken, 0.0)
+    assert not contradiction(replace(taken, speed_m_s=0.21), 0.0)
+    assert not contradiction(replace(taken, speed_m_s=0.3, position=None), 0.0)
+    assert not contradiction(replace(approach(1.2e-3), speed_m_s=0.3), 0.0)  # too short to tell
+    said = contradiction(replace(taken, speed_m_s=0.3), 0.0)
+    assert "the position before contact has 0.2" in said
+    assert "stated are 0.3 m/s" in said
 
 
 def test_nobody_knows() -> None:
