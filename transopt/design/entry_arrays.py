@@ -32,12 +32,12 @@ class EntryArrays:
         for name, array in ARRAYS.items():
             if array.made is None:
                 continue
-            for row, entry in enumerate(column):
-                value = array.made(entry)
-                if name not in self._found:
-                    kind = object if array.is_text else float
-                    self._found[name] = np.empty((*self._shape, *np.shape(value)), dtype=kind)
-                self._found[name][row, self._number] = value
+            values = np.array([array.made(entry) for entry in column], dtype=object if array.is_text else float)
+            if name not in self._found:
+                self._found[name] = np.zeros((*self._shape, *values.shape[1:]), dtype=values.dtype)
+            # Memory of zeros that is never written to is not allocated.
+            if array.is_text or values.any():
+                self._found[name][:, self._number] = values
         self._number += 1
 
     def arrays(self, entries: Sequence[Sequence[Entry]], further: Sequence[str]) -> dict[str, Any]:
