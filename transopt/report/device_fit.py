@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullLocator
 from rich.console import Console
 
-from transopt.base.plotting import DARK, LABEL_PT, SEED, SMALL_PT, colours, draw_minor_ticks_at_once, plain, style
+from transopt.base.plotting import DARK, LABEL_PT, SEED, SMALL_PT, colours, plain, style
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.base.tables import Table
 from transopt.identify.device.chain import unit_of
@@ -68,7 +68,6 @@ def device_figure(result: DeviceResult) -> Figure:
     for axes in (below, off):
         axes.set_xlabel("frequency [Hz]", fontsize=LABEL_PT)
     motion.set_xlabel("time about the peak [ms]", fontsize=LABEL_PT)
-    draw_minor_ticks_at_once(figure)
     figure.legend(handles=_handles(result), loc="upper center", ncols=5, fontsize=SMALL_PT, frameon=False)
     return figure
 

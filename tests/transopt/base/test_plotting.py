@@ -1,5 +1,6 @@
 """Figures as files: whole, or not written at all."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from transopt.base.errors import InputError
-from transopt.base.plotting import draw_minor_ticks_at_once, leave_room, save_figure
+from transopt.base.plotting import draw_ticks_at_once, leave_room, save_figure, style
+from transopt.base.signals import FloatArray
 
 
 def test_a_saved_figure_is_a_png_at_150_dpi(tmp_path: Path) -> None:
@@ -79,27 +81,51 @@ def logarithmic(decades: float) -> Figure:
     return figure
 
 
-def test_minor_ticks_drawn_at_once_are_where_they_were() -> None:
-    drawn = []
-    for at_once in (False, True):
-        figure = logarithmic(2.0)
-        if at_once:
-            draw_minor_ticks_at_once(figure)
-            assert all(axis.get_minorticklocs().size == 0 for axis in (figure.axes[0].xaxis, figure.axes[0].yaxis))
-        canvas = FigureCanvasAgg(figure)
-        canvas.draw()
-        drawn.append(np.asarray(canvas.buffer_rgba())[..., :3].astype(float))
-    without = logarithmic(2.0)
-    without.axes[0].minorticks_off()
-    canvas = FigureCanvasAgg(without)
+def panels() -> Figure:
+    """Two rows of two panels that share their axes, labelled at the left and at the bottom only."""
+    figure = Figure(figsize=(3, 2))
+    for axes in figure.subplots(2, 2, sharex=True, sharey=True).flat:
+        axes.plot([-1.0, 2.0], [3.0, -4.0])
+        style(axes)
+    return figure
+
+
+def without_ticks(figure: Figure) -> None:
+    """Remove the ticks that have no labels."""
+    for axes in figure.axes:
+        axes.minorticks_off()
+        for ticks in (axes.xaxis, axes.yaxis):
+            if not ticks.get_major_ticks(1)[0].label1.get_visible():
+                ticks.set_tick_params(bottom=False, left=False, gridOn=False)
+
+
+def drawn(figure: Figure) -> FloatArray:
+    canvas = FigureCanvasAgg(figure)
     canvas.draw()
-    missing = np.abs(np.asarray(canvas.buffer_rgba())[..., :3] - drawn[0])
-    assert np.abs(drawn[1] - drawn[0]).sum() < 0.02 * missing.sum()
+    return np.asarray(canvas.buffer_rgba())[..., :3].astype(float)
+
+
+@pytest.mark.parametrize("made", [lambda: logarithmic(2.0), panels], ids=["minor", "major"])
+def test_ticks_drawn_at_once_are_where_they_were(made: Callable[[], Figure]) -> None:
+    at_once, without = made(), made()
+    draw_ticks_at_once(at_once)
+    without_ticks(without)
+    one_by_one = drawn(made())
+    missing = np.abs(drawn(without) - one_by_one).sum()
+    assert missing > 0
+    assert np.abs(drawn(at_once) - one_by_one).sum() < 0.02 * missing
+
+
+def test_of_panels_that_share_an_axis_only_those_with_labels_keep_its_ticks() -> None:
+    figure = panels()
+    draw_ticks_at_once(figure)
+    kept = [tuple(len(axis.get_majorticklocs()) > 0 for axis in (axes.xaxis, axes.yaxis)) for axes in figure.axes]
+    assert kept == [(False, True), (False, False), (True, True), (True, False)]
 
 
 def test_minor_ticks_with_labels_stay() -> None:
     figure = logarithmic(0.5)
     before = figure.axes[0].xaxis.get_minorticklocs()
-    draw_minor_ticks_at_once(figure)
+    draw_ticks_at_once(figure)
     assert before.size
     np.testing.assert_allclose(figure.axes[0].xaxis.get_minorticklocs(), before)
