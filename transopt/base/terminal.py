@@ -78,9 +78,9 @@ def console() -> Console:
 
     Its width is COLUMNS or, if that is not set, the terminal's width, or `WIDTH` without a terminal.
     """
-    # No markup: names and descriptions are the user's and may hold brackets.
+    # No markup and no emoji: names and descriptions are the user's and may hold brackets and colons.
     known = sys.stdout.isatty() or os.environ.get("COLUMNS")
-    return _HarmlessConsole(markup=False, highlight=False, width=None if known else WIDTH)
+    return _HarmlessConsole(markup=False, emoji=False, highlight=False, width=None if known else WIDTH)
 
 
 def progress() -> "Progress":

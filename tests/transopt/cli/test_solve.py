@@ -119,13 +119,13 @@ class TestSolve:
             for rival in ("seed % at 4 / 1.25 A", "clipped % at 4 / 1.25 A"):
                 assert (rival in (out / "report.md").read_text()) is there
 
-    def test_brackets_in_names_are_only_brackets(self, run: Run, quick_scene: Path) -> None:
+    def test_brackets_and_colons_in_names_are_only_brackets_and_colons(self, run: Run, quick_scene: Path) -> None:
         text = quick_scene.read_text()
         line = next(line for line in text.splitlines() if line.startswith("description"))
-        Path("b.toml").write_text(text.replace(line, 'description = "tap in [g] and [/x]"'))
+        Path("b.toml").write_text(text.replace(line, 'description = "tap in [g] and [/x] :drum:"'))
         outcome = run("solve", "b.toml", "--out", "run [1]/[/b]", "--table", "--no-figures")
         assert outcome.code == 0
-        assert "tap in [g] and [/x]" in outcome.out
+        assert "tap in [g] and [/x] :drum:" in outcome.out
         assert run("show", "run [1]/[/b]/library.npz").code == 0
 
     @pytest.mark.parametrize(
