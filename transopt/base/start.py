@@ -1,6 +1,7 @@
 """The first steps of a command, whose loading takes some tenths of a second in which a Ctrl-C may come."""
 
 import gc
+import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -59,6 +60,8 @@ def start(module: str) -> None:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     gc.set_threshold(COLLECTED_AFTER)
     sys.meta_path.insert(0, _Undocumented())
+    # Pydantic would read the metadata of all installed packages to find plugins for itself.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     package = module.partition(".")[0]
     stranger = in_the_way(package)
     if stranger is not None:

@@ -160,7 +160,6 @@ def _build(wanted: Wanted) -> "tuple[Build, list[str]]":
     from transopt.design.build import build_library
     from transopt.design.refine_grid import refine_grid
     from transopt.files.unclear import UnclearError
-    from transopt.report.tried import asked_in_scene
     from transopt.report.write import write_report
     from transopt.scene.recordings import recordings_of
 
@@ -174,6 +173,8 @@ def _build(wanted: Wanted) -> "tuple[Build, list[str]]":
         try:
             taps = recordings_of(scene)
         except UnclearError as error:
+            from transopt.report.tried import asked_in_scene
+
             raise asked_in_scene(error, scene.recordings) from None
         if wanted.grid_tolerance is not None:
             refinement = refine_grid(

@@ -3,14 +3,17 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.files.names import Layout, Vocabulary
-from transopt.files.table import Table, read_table
 from transopt.files.unclear import in_file
+
+if TYPE_CHECKING:
+    from transopt.files.table import Table
 
 BLOCK_S = 0.05  # length of the blocks over which the earth's field is averaged
 APPROACH_S, RINGING_S = 0.03, 0.1  # times before and after a tap that are unusable for the field
@@ -21,13 +24,16 @@ ALL = "all"  # way of joining that also keeps the acceleration across the main d
 STRONG = 0.5  # share of the largest deviation from rest, from which on samples show the direction of a tap
 
 
-def read_signals(path: Path, words: Vocabulary, layout: Layout) -> Table:
+def read_signals(path: Path, words: Vocabulary, layout: Layout) -> "Table":
     """Read one file, and join the axes of its accelerometer as the layout says, or along the main direction.
 
     Raises
     ------
     InputError : see `read_table` and `joined`; or an axis is chosen, and the file has one acceleration.
     """
+    # Imported here, since simulated taps have no files.
+    from transopt.files.table import read_table
+
     table, way = read_table(path, words, layout), layout.axis
     with in_file(path):
         if not table.axes:

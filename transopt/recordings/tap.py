@@ -15,7 +15,6 @@ from transopt.base.filters import lowpass, lowpass_all
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray, Signal, median
 from transopt.base.sizes import MOST_FILES
-from transopt.files.formats import refuse_idle
 from transopt.files.unclear import UnclearError
 from transopt.recordings.after_contact import pulled_back_after_s, second_hit
 from transopt.recordings.approach import GUARD_S, find_approach
@@ -68,6 +67,9 @@ def read_recordings(settings: Recordings) -> list[Recording]:
     InputError : a pattern matches nothing; no file can use a setting; a name in `speed_by_file_m_s` or `taps_by_file`
         is not among the files; or a file itself is refused.
     """
+    # Imported here, since simulated taps have no files.
+    from transopt.files.formats import refuse_idle
+
     paths, by_file = _paths(settings), settings.speed_by_file_m_s
     for pattern in settings.taps_by_file:
         if not any(fnmatchcase(path.name, pattern) for path in paths):

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from rich.text import Text
 
-from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, median
 from transopt.base.sizes import LONGEST_LEAD_S
 from transopt.base.tables import Table
 from transopt.base.writing import percent
@@ -104,7 +104,7 @@ def summary(build: Build) -> str:
             f"violation <= {max(entry.certificate.primal_violation for entry in admitted):.0e} A, V or K"
         )
     times_ms = [entry.solution.solve_time_s * 1e3 for entry in entries]
-    sentences.append(f"{np.median(times_ms):.1f} ms per entry (median), {build.elapsed_s:.2f} s in all")
+    sentences.append(f"{median(np.array(times_ms)):.1f} ms per entry (median), {build.elapsed_s:.2f} s in all")
     return "; ".join(sentences)
 
 
