@@ -78,11 +78,14 @@ class Target:
         )
         return np.concatenate([free if free.size else np.zeros_like(asked) for free, asked in parts], axis=-1)
 
-    @cached_property
+    @property
     def normal(self) -> "Target":
         """The target along the normal alone, for which figures are computed."""
-        if self.window_m_s2.ndim == 1:
-            return self
+        # Not cached: a target that held itself would stay in memory until Python searches for garbage.
+        return self if self.window_m_s2.ndim == 1 else self._of_normal
+
+    @cached_property
+    def _of_normal(self) -> "Target":
         return Target.of_whole(self.whole_m_s2[0], self.free_m_s2[0], self.lost, self.window_m_s2.shape[-1])
 
     def along_normal(self, directions: int) -> "Target":
