@@ -75,6 +75,7 @@ def _verified(library: Library, progress: Callable[[int], None]) -> list[Entry]:
         for iv in range(nv):
             entry = _entry(library, iv, ig, batch, options)
             checked[iv, ig] = entry.stating(shortfalls=_shortfalls(library, iv, ig, entry))
+            checked[iv, ig].let_go()
             progress(1)
     return [checked[iv, ig] for iv in range(nv) for ig in range(ng)]
 
