@@ -98,7 +98,8 @@ def draw_ticks_at_once(figure: Figure) -> None:
     """
     found = []
     for axes in figure.axes:
-        for axis in (axes.xaxis, axes.yaxis):
+        drawn = (axes.xaxis, axes.yaxis) if axes.axison else ()
+        for axis in filter(Axis.get_visible, drawn):
             for ticks, places in (("major", axis.get_majorticklocs()), ("minor", axis.get_minorticklocs())):
                 low, high = sorted(axis.get_view_interval())
                 seen = np.asarray(places)[(places >= low) & (places <= high)]

@@ -90,6 +90,14 @@ def panels() -> Figure:
     return figure
 
 
+def partly_hidden() -> Figure:
+    """The same panels, one without its axes and one without its horizontal axis."""
+    figure = panels()
+    figure.axes[1].set_axis_off()
+    figure.axes[0].xaxis.set_visible(False)
+    return figure
+
+
 def without_ticks(figure: Figure) -> None:
     """Remove the ticks that have no labels."""
     for axes in figure.axes:
@@ -105,7 +113,7 @@ def drawn(figure: Figure) -> FloatArray:
     return np.asarray(canvas.buffer_rgba())[..., :3].astype(float)
 
 
-@pytest.mark.parametrize("made", [lambda: logarithmic(2.0), panels], ids=["minor", "major"])
+@pytest.mark.parametrize("made", [lambda: logarithmic(2.0), panels, partly_hidden], ids=["minor", "major", "hidden"])
 def test_ticks_drawn_at_once_are_where_they_were(made: Callable[[], Figure]) -> None:
     at_once, without = made(), made()
     draw_ticks_at_once(at_once)
