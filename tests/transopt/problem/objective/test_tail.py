@@ -1,5 +1,7 @@
 """What is lost before the window, what comes after it, the price on intensity: against other ways to find them."""
 
+import gc
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -229,3 +231,16 @@ def test_a_tap_that_is_all_lost_has_an_error_of_one() -> None:
     yardstick = Yardstick(TimeGrid(1e-4, 50, 0.0, 4e-4, 10))
     assert yardstick.tap_error(target, np.zeros(60)) == pytest.approx(1.0)
     assert yardstick.tap_error(Target(np.zeros(50)), np.zeros(50)) == 0.0
+
+
+@pytest.mark.parametrize("directions", [(), (3,)], ids=["one direction", "three directions"])
+def test_a_target_is_freed_without_a_search_for_garbage(directions: tuple[int, ...]) -> None:
+    target = Target(*(np.ones((*directions, samples)) for samples in (9, 2, 1)))
+    assert target.normal.window_m_s2.shape == (9,)
+    known = weakref.ref(target)
+    gc.disable()
+    try:
+        del target
+        assert known() is None
+    finally:
+        gc.enable()
