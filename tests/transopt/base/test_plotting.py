@@ -91,7 +91,7 @@ def panels() -> Figure:
 
 
 def partly_hidden() -> Figure:
-    """The same panels, one without its axes and one without its horizontal axis."""
+    """Two rows of panels, one panel without its axes and one without its horizontal axis."""
     figure = panels()
     figure.axes[1].set_axis_off()
     figure.axes[0].xaxis.set_visible(False)
