@@ -72,6 +72,10 @@ class CoreServo:
         """From IDLE, before the coming tick; in FAULT nothing happens."""
         self._wishes |= ARM
 
+    def reset(self) -> None:
+        """Out of FAULT to IDLE before the coming tick, and before it is armed, if no cause remains."""
+        self._wishes |= RESET
+
     def step(self, readings: Readings) -> Output:
         """One servo period: the command that answers one tick's readings, to be held until the next tick.
 

@@ -1,20 +1,35 @@
-"""What the compiled device is given: settings, smooth pulses, a plant in a user's hand."""
+"""The servo of a library, compiled; and what a device is given: settings, smooth pulses, a plant in a hand."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
+from controller.firmware.core_servo import CoreServo
+from controller.host.payload import payload_of
 from controller.servo.settings import Settings
 from controller.sim.plant_file import plant_bytes
 from controller.sim.simulator import Simulator
 from controller.sim.true_device import DEFAULT_DEVICE
 from controller.sim.user import User
 from controller.waveforms.bank import Bank, Method
+from transopt.library.library import Library
 from transopt.problem.warm_coil import currents, norms
 
 DT_S = 1e-4
 TAIL = 10  # zero commands at the end of every waveform
 SETTINGS = Settings(DT_S, 3 * DT_S, 4.0, DEFAULT_DEVICE.amplifier)
+
+
+def servo_of(library: Library, table: Bank | None = None, **settings: Any) -> CoreServo:
+    """The servo that a device has with this library, or with waveforms of another method.
+
+    Parameters
+    ----------
+    settings : other ones than by library and device, see `Settings`.
+    """
+    given = payload_of(library, table, **settings)
+    return CoreServo(given.settings, given.image)
 
 
 def plant_of(user: User, period_s: float) -> bytes:

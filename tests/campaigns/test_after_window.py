@@ -18,12 +18,10 @@ import numpy as np
 import typer
 
 import problems
-from controller.servo.settings import Settings
 from controller.sim.played_tap import play_tap
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.true_device import device_of
-from controller.waveforms.bank import bank
-from tests.benches.oracle.servo import Servo
+from tests.benches.compiled import servo_of
 from tests.campaigns.harness import JsonFile, PartFile, Seed, at_least, long_form, write_json, write_part
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
@@ -98,7 +96,7 @@ def played(
     scene: Scene, way: str, library: Library, references: References, devices: int, wrong: float, seed: int
 ) -> list[Ended]:
     """Every entry on devices of its own."""
-    grid, table, truth = library.time_grid(), bank(library), device_of(scene)
+    grid, truth = library.time_grid(), device_of(scene)
     yardstick = replace(library.yardstick, grid=replace(grid, after_stages=round(AFTER_S / grid.dt_s)))
     late = grid.issue_times_s >= grid.issue_times_s[-1] - LAST_S
     found = []
@@ -113,7 +111,7 @@ def played(
         for number in range(devices):
             device = truth.mismatched(wrong, np.random.default_rng([seed, number, iv, ig]))
             tap = SimulatedTap(speed, grip, seed=number)
-            once = play_tap(library, Servo(Settings.of(library), table), tap, device=device, after_s=LOOKED_S)
+            once = play_tap(library, servo_of(library), tap, device=device, after_s=LOOKED_S)
             if not once.played or once.faults:
                 continue
             whole = np.interp(times + once.latency_s, once.times_s, once.acceleration_m_s2)

@@ -39,17 +39,15 @@ import typer
 import problems
 from controller.record.metrics import align
 from controller.refine.heard import Node, nodes_of
-from controller.servo.settings import Settings
 from controller.sim.chosen_device import device_in
 from controller.sim.played_tap import play_tap
 from controller.sim.sensors import noise_seed
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
 from controller.sim.true_device import TrueDevice
-from controller.waveforms.bank import bank
 from controller.waveforms.prediction import scene_of
 from problems.generators.strikes import write_csv
-from tests.benches.oracle.servo import Servo
+from tests.benches.compiled import servo_of
 from tests.campaigns.harness import PartFile, Seed, at_least, long_form, numbers_of, show, write_json, write_part
 from tests.campaigns.loop_stages import IDENTIFIED, ROUND, TRUTH, Stage, figure, in_markdown, shortfalls, table
 from transopt.base import terminal
@@ -152,7 +150,6 @@ def played(
     ----------
     designed : what the device shall do; the library itself, or the one that its refinement began with.
     """
-    settings = Settings.of(library, amplifier_tolerance=wrong.mismatch)
     times, noise = library.time_grid().switching_times_s, replace(wrong, mismatch=0.0)
     early = times <= INTENTION_S
     errors, off_design, peak = [], [], 0.0
@@ -165,7 +162,7 @@ def played(
                 seed=noise_seed(seed, 0, iv, ig, n),
                 imperfections=noise,
             )
-            one = play_tap(library, Servo(settings, bank(library)), tap, device=device)
+            one = play_tap(library, servo_of(library, amplifier_tolerance=wrong.mismatch), tap, device=device)
             if not one.played:
                 raise InputError(f"{name}: nothing was played at {tap.speed_m_s:g} m/s, {tap.grip_N:g} N")
             found.append(one.tap_error)

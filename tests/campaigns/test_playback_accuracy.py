@@ -11,7 +11,7 @@ if a node's latency is above 20 us rms, its playback error above 3 % or its tap 
 if a point's error is above the interpolation error plus 3 %.
 """
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Annotated
 
 import numpy as np
@@ -19,13 +19,12 @@ import pytest
 
 from controller.record.metrics import align
 from controller.servo.interface import Notice
-from controller.servo.settings import Settings
 from controller.sim.played_tap import Played, play_tap
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
-from controller.waveforms.bank import Bank, Method, bank
+from controller.waveforms.bank import Method, bank
 from controller.waveforms.prediction import predict
-from tests.benches.oracle.servo import Servo
+from tests.benches.compiled import servo_of
 from tests.campaigns.harness import JsonFile, LibraryFile, at_least, library_of, long_form, write_json
 from transopt.base.signals import FloatArray, nrmse
 from transopt.library.library import Library
@@ -81,23 +80,23 @@ class Point:
         return self.blend_error <= self.interpolation + MOST_ERROR
 
 
-def once(library: Library, table: Bank, tap: SimulatedTap) -> Played:
+def once(library: Library, tap: SimulatedTap) -> Played:
     """One nominal tap with a fresh servo.
 
     Raises
     ------
     RuntimeError : it was not played.
     """
-    metrics = play_tap(library, Servo(Settings.of(library), table), tap)
+    metrics = play_tap(library, servo_of(library), tap)
     if not metrics.played or metrics.faults:
         raise RuntimeError(f"{tap.speed_m_s:g} m/s, {tap.grip_N:g} N: {metrics.events}")
     return metrics
 
 
-def at_node(library: Library, table: Bank, iv: int, ig: int, phases: FloatArray, seeds: int) -> Node:
+def at_node(library: Library, iv: int, ig: int, phases: FloatArray, seeds: int) -> Node:
     speed, grip = float(library.speeds_m_s[iv]), float(library.grips_N[ig])
     taps = [SimulatedTap(speed, grip, phase=float(phase), seed=seed) for phase in phases for seed in range(seeds)]
-    found = [once(library, table, tap) for tap in taps]
+    found = [once(library, tap) for tap in taps]
     late = np.array([metrics.latency_s for metrics in found])
     return Node(
         speed_m_s=speed,
@@ -121,10 +120,10 @@ def blended(library: Library, speed_m_s: float, grip_N: float) -> FloatArray:
     return np.asarray(np.einsum("v,g,vgk->k", by_v, by_F, library.acceleration_m_s2))
 
 
-def between(library: Library, table: Bank, speed_m_s: float, grip_N: float, seed: int) -> Point:
+def between(library: Library, speed_m_s: float, grip_N: float, seed: int) -> Point:
     """One tap between the nodes, its phase drawn from the seed."""
     tap = SimulatedTap(speed_m_s, grip_N, seed=seed)
-    played = play_tap(library, Servo(Settings.of(library), table), tap)
+    played = play_tap(library, servo_of(library), tap)
     prediction = predict(library, speed_m_s, grip_N)
     blend = blended(library, speed_m_s, grip_N) + prediction.own_m_s2
     return Point(
@@ -165,11 +164,11 @@ def main(
     json: JsonFile = None,
 ) -> int:
     solved = library_of(library)
-    table, within = bank(solved), np.arange(phases) / phases
+    within = np.arange(phases) / phases
     print("  m/s    N taps latency rms us worst us playback %   tap % peak A")
     nodes = []
     for iv, ig in np.ndindex(solved.tap_error.shape):
-        nodes.append(n := at_node(solved, table, iv, ig, within, seeds))
+        nodes.append(n := at_node(solved, iv, ig, within, seeds))
         print(
             f"{n.speed_m_s:5g} {n.grip_N:4g} {n.taps:4d} {1e6 * n.latency_rms_s:14.1f} "
             f"{1e6 * n.latency_worst_s:8.1f} {100 * n.playback_error:10.2f} {100 * n.tap_error:7.2f} "
@@ -177,7 +176,7 @@ def main(
             flush=True,
         )
     drawn = inside(solved, points)
-    found = [between(solved, table, float(v), float(F), seed) for seed, (v, F) in enumerate(drawn)]
+    found = [between(solved, float(v), float(F), seed) for seed, (v, F) in enumerate(drawn)]
     if found:
         summarise(found)
     write_json({"nodes": [asdict(n) for n in nodes], "points": [asdict(p) for p in found]}, json)
@@ -188,16 +187,16 @@ test_long_form = long_form(main)
 
 
 @pytest.mark.parametrize(("iv", "ig"), [(0, 2), (1, 1), (2, 0), (3, 2)])
-def test_a_node_is_on_time_and_as_predicted(library: Library, tables: Bank, iv: int, ig: int) -> None:
-    node = at_node(library, tables, iv, ig, np.array([0.0, 0.3, 0.65]), seeds=1)
+def test_a_node_is_on_time_and_as_predicted(library: Library, c_compiler: None, iv: int, ig: int) -> None:
+    node = at_node(library, iv, ig, np.array([0.0, 0.3, 0.65]), seeds=1)
     assert node.latency_rms_s <= MOST_LATENCY_S
     assert node.playback_error <= MOST_ERROR
     assert node.tap_error <= library.tap_error[iv, ig] + MOST_ERROR
     assert node.peak_current_A <= 4.0 + 1e-6
 
 
-def test_between_the_nodes_only_interpolation_is_added(library: Library, tables: Bank) -> None:
-    points = [between(library, tables, float(v), float(F), seed) for seed, (v, F) in enumerate(inside(library, 4))]
+def test_between_the_nodes_only_interpolation_is_added(library: Library, c_compiler: None) -> None:
+    points = [between(library, float(v), float(F), seed) for seed, (v, F) in enumerate(inside(library, 4))]
     late = np.array([p.latency_s for p in points])
     assert np.sqrt(np.mean(late**2)) <= MOST_LATENCY_S
     for p in points:
@@ -207,20 +206,19 @@ def test_between_the_nodes_only_interpolation_is_added(library: Library, tables:
 
 @pytest.mark.parametrize("mismatch", [0.1, 0.2])
 def test_a_mismatched_amplifier_stays_within_the_limit_it_was_told_of(
-    library: Library, tables: Bank, mismatch: float
+    library: Library, c_compiler: None, mismatch: float
 ) -> None:
     """Seed 3 draws a faster pole: without the tolerance its current passes the limit."""
     tap = SimulatedTap(0.4, 5.0, seed=3, imperfections=Imperfections(mismatch=mismatch, crossover_A=0.0))
-    settings = Settings.of(library)
-    told = replace(settings, amplifier_tolerance=mismatch)
-    peaks = [play_tap(library, Servo(s, tables), tap).peak_current_A for s in (settings, told)]
+    servos = servo_of(library), servo_of(library, amplifier_tolerance=mismatch)
+    peaks = [play_tap(library, servo, tap).peak_current_A for servo in servos]
     assert peaks[0] > 4.02
     assert peaks[1] <= 4.0 + 1e-6
 
 
-def test_every_method_plays_within_the_limits(library: Library) -> None:
+def test_every_method_plays_within_the_limits(library: Library, c_compiler: None) -> None:
     for method in Method:
-        m = play_tap(library, Servo(Settings.of(library), bank(library, method)), SimulatedTap(0.35, 4.5))
+        m = play_tap(library, servo_of(library, bank(library, method)), SimulatedTap(0.35, 4.5))
         assert not m.faults, method
         assert m.notices[Notice.CONTACT] == 1
         assert m.played == (method is not Method.PROPORTIONAL), method

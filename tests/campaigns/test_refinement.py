@@ -45,15 +45,13 @@ from controller.record.metrics import align
 from controller.refine.heard import Heard, Node, nodes_of
 from controller.refine.recorded import recorded_tap
 from controller.refine.rounds import Refined, refine
-from controller.servo.settings import Settings
 from controller.sim.chosen_device import device_in
 from controller.sim.played_tap import play_tap
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
-from controller.waveforms.bank import bank
 from controller.waveforms.prediction import scene_of
+from tests.benches.compiled import servo_of
 from tests.benches.libraries import part_of
-from tests.benches.oracle.servo import Servo
 from tests.benches.other_device import (
     ACCELEROMETER_HZ,
     HAND,
@@ -142,8 +140,8 @@ class BuiltIn:
             imperfections=replace(self._wrong, mismatch=0.0, sensors=quiet),
             phase=phase,
         )
-        settings = Settings.of(library, amplifier_tolerance=self._wrong.mismatch)
-        one = play_tap(library, Servo(settings, bank(library)), tap, device=self._device)
+        servo = servo_of(library, amplifier_tolerance=self._wrong.mismatch)
+        one = play_tap(library, servo, tap, device=self._device)
         # The trace has steps of two lengths, which the spline turns into one.
         step = float(np.median(np.diff(one.times_s)))
         times = np.arange(one.times_s[0], one.times_s[-1], step)

@@ -1,4 +1,4 @@
-"""Minutes of random tapping with the real servo on the simulator: do the limits hold, is anything left unsaid?
+"""Minutes of random tapping with the compiled servo on the simulator: do the limits hold, is anything left unsaid?
 
     python -m pytest -m long -n 0 tests/campaigns/test_soak.py
         --campaign="[LIBRARY] [--minutes 10] [--seed 0] [--amplifier-tolerance T]"
@@ -24,17 +24,16 @@ import numpy as np
 import pytest
 from typer import Option
 
+from controller.firmware.core_servo import CoreServo
+from controller.host.payload import payload_of
 from controller.servo.interface import Fault, Notice, Output, Readings, State
 from controller.servo.settings import Settings
 from controller.sim.played_tap import run as play
 from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import device_of
 from controller.sim.user import RepeatedTaps, Tremor
-from controller.waveforms.bank import Bank, bank
 from controller.waveforms.prediction import scene_of
-from tests.benches.oracle.servo import Servo
 from tests.campaigns.harness import LibraryFile, Seed, library_of, long_form
-from tests.campaigns.test_fault_injection import INJECTIONS, Injection, inject
 from transopt.library.library import Library
 
 STRETCH_S = 10.0
@@ -128,14 +127,15 @@ class Touched:
 class Witness:
     """Looks at every tick with what the servo does not know."""
 
-    def __init__(self, tally: Tally, simulator: Simulator, servo: Servo, user: Fickle, name: str) -> None:
-        self.tally, self.simulator, self.servo, self.user, self.name = tally, simulator, servo, user, name
+    def __init__(self, tally: Tally, simulator: Simulator, settings: Settings, user: Fickle, name: str) -> None:
+        self.tally, self.simulator, self.settings, self.user, self.name = tally, simulator, settings, user, name
+        self.state = State.IDLE
         self._z = deque([0.0] * SPEED_TICKS, maxlen=SPEED_TICKS)
         self._above, self._left, self._answered, self.armed = False, 0, -1, 0
         self._touched: Touched | None = None
 
     def __call__(self, readings: Readings, output: Output) -> None:
-        tally, tick, s = self.tally, readings.tick, self.servo.settings
+        tally, tick, s, self.state = self.tally, readings.tick, self.settings, output.state
         if not math.isfinite(output.command_A + output.transient_A + output.feedback_A + output.winding_C):
             tally.absurd += 1
         tally.hottest_C = max(tally.hottest_C, self.simulator.winding_C)
@@ -170,16 +170,16 @@ class Witness:
             self.tally.slow += 1
         else:
             self.tally.contacts += 1
-            at, speed = touched.tick * self.servo.settings.dt_s, touched.speed_m_s
+            at, speed = touched.tick * self.settings.dt_s, touched.speed_m_s
             self.tally.silent.append(f"{self.name}, {at:.4f} s: a contact at {speed:.3f} m/s without a notice")
 
     def _explained(self, fault: Fault, readings: Readings) -> bool:
         """Whether the truth itself is at fault: a loose grip, or a coil that a wall has heated to its limit."""
-        coil = self.servo.settings.coil
+        coil = self.settings.coil
         if fault is Fault.OVER_TEMPERATURE and coil is not None:
             return self.simulator.winding_C > coil.limit_C - ESTIMATE_K
         held = self.user.grip_N(self.simulator.time_s)
-        return fault is Fault.GRIP_LOST and held * (1 - GRIP_SLACK) - 0.1 < self.servo.settings.grip_min_N
+        return fault is Fault.GRIP_LOST and held * (1 - GRIP_SLACK) - 0.1 < self.settings.grip_min_N
 
 
 @dataclass(frozen=True)
@@ -205,7 +205,6 @@ BELOW_LIMIT_K = 5.02
 
 def soak(
     library: Library,
-    table: Bank,
     stretch: Stretch,
     seed: int,
     tally: Tally,
@@ -215,25 +214,26 @@ def soak(
 ) -> None:
     """One stretch of tapping, added to the tally; without a tolerance the servo knows how far the device is off."""
     known = stretch.mismatch if amplifier_tolerance is None else amplifier_tolerance
-    settings = Settings.of(library, amplifier_tolerance=known)
-    device = device_of(scene_of(library))
+    device, coil = device_of(scene_of(library)), {}
     if stretch.hot and device.coil is not None:
         start_C = device.coil.limit_C - BELOW_LIMIT_K
-        coil = replace(device.coil, start_winding_C=start_C, start_housing_C=start_C)
-        device, settings = replace(device, coil=coil), replace(settings, coil=coil)
+        device = replace(device, coil=replace(device.coil, start_winding_C=start_C, start_housing_C=start_C))
+        coil = {"coil": device.coil}
+    given = payload_of(library, amplifier_tolerance=known, **coil)
+    settings, servo = given.settings, CoreServo(given.settings, given.image)
     tremor = Tremor(phase_rad=float(seed)) if stretch.tremor else None
     user = Fickle(RepeatedTaps(seed, tremor=tremor), seed, stretch.fickle)
     imperfections = Imperfections(mismatch=stretch.mismatch, crossover_A=stretch.crossover_A)
     simulator = Simulator(device, user, settings.dt_s, imperfections=imperfections, seed=seed)
-    servo = Servo(settings, table)
-    witness = Witness(tally, simulator, servo, user, f"{stretch.name} {seed}")
+    witness = Witness(tally, simulator, settings, user, f"{stretch.name} {seed}")
     servo.arm()
     left = round(duration_s / settings.dt_s)
     while left > 0:
         ticks = min(TURN_TICKS, left)
         play(simulator, servo, ticks, witness)
         left -= ticks
-        if servo.state is State.FAULT and servo.reset():
+        if witness.state is State.FAULT:
+            servo.reset()
             servo.arm()
             witness.armed = round(simulator.time_s / settings.dt_s)
     tally.virtual_s += duration_s
@@ -253,10 +253,9 @@ def main(
     ] = None,
 ) -> int:
     tally, started, solved = Tally(), time.perf_counter(), library_of(library)
-    table = bank(solved)
     for j in range(max(round(60 * minutes / STRETCH_S), 1)):
         stretch = STRETCHES[j % len(STRETCHES)]
-        soak(solved, table, stretch, 1000 * seed + j, tally, amplifier_tolerance=amplifier_tolerance)
+        soak(solved, stretch, 1000 * seed + j, tally, amplifier_tolerance=amplifier_tolerance)
     taken = time.perf_counter() - started
     print(f"{tally.virtual_s:.0f} virtual s in {taken:.0f} s; {tally.contacts} contacts, {tally.slow} slow touches")
     for what, count in [*tally.notices.most_common(), *tally.faults.most_common()]:
@@ -275,9 +274,9 @@ test_long_form = long_form(main)
 
 
 @pytest.mark.parametrize("stretch", STRETCHES, ids=lambda s: s.name)
-def test_limits_hold_and_nothing_is_left_unsaid(library: Library, tables: Bank, stretch: Stretch) -> None:
+def test_limits_hold_and_nothing_is_left_unsaid(library: Library, c_compiler: None, stretch: Stretch) -> None:
     tally = Tally()
-    soak(library, tables, stretch, 5, tally, duration_s=1.8)
+    soak(library, stretch, 5, tally, duration_s=1.8)
     assert tally.violations == []
     assert tally.contacts >= 2
     assert tally.notices[Notice.CONTACT] >= 1
@@ -285,15 +284,8 @@ def test_limits_hold_and_nothing_is_left_unsaid(library: Library, tables: Bank, 
         assert tally.notices[Notice.SCALED_FOR_HEAT] + tally.notices[Notice.TOO_HOT_TO_PLAY] > 0
 
 
-def test_a_faster_amplifier_than_the_servo_knows_is_a_violation(library: Library, tables: Bank) -> None:
+def test_a_faster_amplifier_than_the_servo_knows_is_a_violation(library: Library, c_compiler: None) -> None:
     """What the soak would find: seed 3 draws such a device."""
     tally = Tally()
-    soak(library, tables, Stretch("told nothing", mismatch=0.2), 3, tally, duration_s=3.0, amplifier_tolerance=0.0)
+    soak(library, Stretch("told nothing", mismatch=0.2), 3, tally, duration_s=3.0, amplifier_tolerance=0.0)
     assert [words.split()[0] for words in tally.violations] == ["current"]
-
-
-@pytest.mark.parametrize("injection", INJECTIONS, ids=lambda i: i.name)
-def test_every_fault_is_caught_at_once_in_closed_loop(library: Library, tables: Bank, injection: Injection) -> None:
-    outcome = inject(library, tables, injection, seed=0)
-    assert outcome.wrong == ""
-    assert outcome.late_ticks == 0

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 import problems
-from controller.servo.settings import Settings
 from controller.sim.played_tap import play_tap
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
 from controller.sim.true_device import device_of
-from controller.waveforms.bank import Method, bank
 from tests.benches.commands import Run
+from tests.benches.compiled import servo_of
 from tests.benches.model_parts import (
     BOX,
     ON_FILE,
@@ -32,7 +31,6 @@ from tests.benches.model_parts import (
     solved,
     state_space_device,
 )
-from tests.benches.oracle.servo import Servo
 from transopt.base.errors import InputError
 from transopt.library.file import load_library
 from transopt.library.library import Library
@@ -121,8 +119,7 @@ class TestPlayed:
     def test_on_its_own_device_and_on_another(self, own: Library, scene: Scene) -> None:
         def played(**on: Any) -> float:
             tap = SimulatedTap(0.4, 3.0, imperfections=Imperfections(mismatch=0.1), seed=4)
-            servo = Servo(Settings.of(own, amplifier_tolerance=0.1), bank(own, Method.BILINEAR))
-            return play_tap(own, servo, tap, **on).playback_error
+            return play_tap(own, servo_of(own, amplifier_tolerance=0.1), tap, **on).playback_error
 
         truth = device_of(scene)
         assert played(device=truth) == pytest.approx(played(), rel=1e-9)
