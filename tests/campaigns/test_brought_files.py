@@ -26,7 +26,7 @@ from tests.benches.commands import Outcome, Run, captured
 from tests.benches.tap_formats import ONSET_S, SPEED_M_S, Brought
 from tests.campaigns.harness import PartFile, long_form, write_part
 from transopt.base.writing import table
-from transopt.files.unclear import joined
+from transopt.files.unclear import UnclearError, joined
 from transopt.recordings.settings import Recordings
 from transopt.recordings.tap import PreparedTap, prepare, read_recordings
 
@@ -115,26 +115,19 @@ def main(kinds: str = "", part: PartFile = None) -> int:
 test_long_form = long_form(main)
 
 
-# One of each kind, and of each fact that may lack.
-SHORT = (
-    "tektronix_tbs",
-    "phyphox_linear",
-    "arduino_bare.csv",
-    "gcdc",
-    "iso_dates",
-    "testlab",
-    "two_responses",
-    "audacity_24",
-    "yokogawa",
-    "metawear",
-    "thousands",
-    "hobo",
-)
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.name)
+def test_a_file_is_read_right_and_not_before_a_fact_that_lacks_is_stated(file: Brought, tmp_path: Path) -> None:
+    path = tmp_path / file.name
+    path.write_bytes(file.data)
+    if file.lacks:
+        with pytest.raises(UnclearError):
+            prepared(path)
+    assert is_right(prepared(path, **file.right)[0], file)
 
 
-@pytest.mark.parametrize("name", SHORT)
-def test_in_short(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["tektronix_tbs", "arduino_bare.csv", "fifo", "two_responses", "audacity_24"])
+def test_the_command_asks_for_each_fact_that_may_lack(name: str, tmp_path: Path) -> None:
     file = next(each for each in FILES if each.name.startswith(name))
     found = looked_at(file, partial(captured, "transopt"), tmp_path)
-    assert found.how == ("asked" if file.lacks else "read")
-    assert bool(found.right) == bool(file.lacks)
+    assert found.how == "asked"
+    assert found.right

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.benches.places import CASES
 from tests.benches.recording_files import DT_S, TAP_M_S2, TIMES_S, load, mat, npz, refusal, text
 from tests.benches.tap_formats import hdf5, tdms, universal, workbook
 from transopt.base.errors import InputError
@@ -300,23 +299,9 @@ def waveform(**more: object) -> bytes:
 FILES = {".xlsx": sheet, ".h5": logger, ".tdms": waveform, ".mat": lambda: logger(512)}
 
 
-@pytest.mark.parametrize("suffix", FILES)
-def test_files_of_other_programs(tmp_path: Path, suffix: str) -> None:
-    recording = load(tmp_path, FILES[suffix](), suffix)
-    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
-    assert recording.acceleration.dt_s == pytest.approx(DT_S, rel=1e-9)
-
-
 def test_a_waveform_keeps_its_start(tmp_path: Path) -> None:
     recording = load(tmp_path, waveform(wf_start_offset=-3e-3), ".tdms")
     assert recording.acceleration.start_s == pytest.approx(-3e-3)
-
-
-def test_labview_text(tmp_path: Path) -> None:
-    head = "LabVIEW Measurement\t\nSeparator\tTab\n***End_of_Header***\t\nDelta_X\t1.0E-4\n***End_of_Header***\t\n"
-    rows = text(0 * TIMES_S, TAP_M_S2 / G, delimiter="\t")
-    recording = load(tmp_path, f"{head}Unused\tacc [g]\n{rows}", ".lvm")
-    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
 
 
 @pytest.mark.parametrize("suffix", FILES)
@@ -344,46 +329,6 @@ def test_damaged_files_are_read_or_refused(
             continue  # one line, as the tests of other damaged files see
         assert np.isfinite(recording.acceleration.values).all()
     assert capfd.readouterr() == ("", "")
-
-
-# ---- files as they were brought ---------------------------------------------------------------------------
-
-BROUGHT = {
-    "milo.csv": {},
-    "klipper.csv": {"units": {"time": "s", "acceleration": "mm/s^2"}},
-    "picoscope.csv": {"units": {"Channel A": "mV @ 100 mV/g"}},
-    "rigol.csv": {"units": {"CH1": "V @ 0.1 V/g"}},
-    "iso.csv": {"rate_Hz": 1e4},
-    "fifo.csv": {"rate_Hz": 3200.0},
-    "metadata.csv": {},
-    "cp1252.csv": {},
-    "multirate.csv": {},
-    "gn.csv": {},
-    "chans.mat": {"units": {"time": "s", "acc": "m/s^2"}, "axis": "z"},
-}
-
-
-@pytest.mark.parametrize("name", BROUGHT)
-def test_brought_files_hold_the_same_tap(name: str) -> None:
-    if not (CASES / name).exists():
-        pytest.skip("the files as people bring them are not here")
-    base, own = (
-        load_recording(CASES / file, Layout(**options)).acceleration.values  # type: ignore[arg-type]
-        for file, options in (("base.csv", {}), (name, BROUGHT[name]))
-    )
-    peaks = [np.abs(values - np.median(values)).max() for values in (base, own)]
-    assert peaks[1] == pytest.approx(peaks[0], rel=0.02)
-
-
-@pytest.mark.parametrize(
-    ("name", "units"), [("ldv.csv", {}), ("frf.npz", {"freq": "Hz", "frf": "m/s^2/V"}), ("uff_g.uff", {})]
-)
-def test_brought_responses_are_the_same(name: str, units: dict[str, str]) -> None:
-    if not (CASES / name).exists():
-        pytest.skip("the files as people bring them are not here")
-    found = read_response(CASES / name, Layout(units=units))
-    gain = np.interp(150.0, found.frequencies_Hz, np.abs(found.response))
-    assert gain == pytest.approx(32.0, rel=0.01)
 
 
 @pytest.mark.parametrize("binary", [False, True])
