@@ -21,12 +21,12 @@ LOOKS = 50  # at a device that may be waiting for a processor
 
 
 def test_a_library_that_does_not_fit(play: Run, library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
-    Desk(library, samples=1500).put(monkeypatch)
+    Desk(library, samples=1440).put(monkeypatch)
     assert_refused(
         play("upload", "library.npz", *PORT),
         "library: 4 speeds x 3 grips x 800 samples",
-        "1500 in all",
-        "a grid of 1 speeds x 1 grips or 125 samples (12.5 ms, or 1.56 kHz) would fit",
+        "1440 in all",
+        "a grid of 1 speeds x 1 grips or 120 samples (12 ms, or 1.5 kHz) would fit",
     )
     Desk(library, hardware=Hardware(current_A=2.0)).put(monkeypatch)
     assert_refused(

@@ -132,8 +132,8 @@ def test_not_before_the_check_of_these_limits(
 def test_what_the_device_cannot_hold_or_the_limits_forbid(
     play: Run, library: Library, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    Desk(library, samples=1500).put(monkeypatch)
-    assert_refused(play(*SHORT), "sweep: 0.2 s at 10 kHz are 2000 samples, the device holds 1500", "--seconds 0.15")
+    Desk(library, samples=1440).put(monkeypatch)
+    assert_refused(play(*SHORT), "sweep: 0.2 s at 10 kHz are 2000 samples, the device holds 1440", "--seconds 0.144")
     Desk(library).put(monkeypatch)
     for options, words in (
         (("--seconds", 3), "the device holds 20000: --seconds 2 would fit"),

@@ -129,10 +129,10 @@ def test_room_is_counted_in_samples_of_16_bit() -> None:
             assert f"cool commands of {bits} bit are {taken} samples" in words
 
 
-@pytest.mark.parametrize(("bits", "samples"), [(8, 40), (16, 30)])
+@pytest.mark.parametrize(("bits", "samples"), [(8, 240), (16, 180)])
 def test_a_device_without_room_refuses(bits: int, samples: int) -> None:
     for more, expected in ((0, None), (1, Reason.TOO_LARGE)):
-        talker = Talker(started(7, samples=240))
+        talker = Talker(started(7, samples=1440))
         talker.configure(configuration_of(BARE))
         table = cooled(smooth_bank(samples=samples + more, peak_A=3.0))
         image = image_of(table, DT_S, 3e-4, TAIL, cool_bits=bits, amplifier=AMPLIFIER)

@@ -57,9 +57,9 @@ def test_an_interrupted_upload_goes_on_where_it_was() -> None:
 
 
 def test_a_library_too_large_is_named_before_anything_is_sent() -> None:
-    world = World(samples=100).connected()
-    with pytest.raises(InputError, match=r"2 speeds x 2 grips x 60 samples: the device holds .* would fit"):
-        world.session.upload(IMAGE)
+    world = World(samples=1440).connected()
+    with pytest.raises(InputError, match=r"6 speeds x 4 grips x 61 samples: the device holds .* would fit"):
+        world.session.upload(image(speeds=6, grips=4, samples=61))
     assert world.session.state is SessionState.READY
     world.session.reset()
     world.until(lambda: world.session.idle, 0.1)
