@@ -66,8 +66,10 @@ def options_in(line: str) -> list[str]:
 
 def peak_in(outcome: Outcome) -> float:
     """The peak [g] in the table of `taps`, of one tap."""
-    row = next(line for line in outcome.out.splitlines() if line.startswith("│") and "kHz" not in line)
-    return float(row.split("│")[10])
+    lines = outcome.out.splitlines()
+    names = next(line for line in lines if line.startswith("┃") and "peak" in line).split("┃")
+    row = next(line for line in lines if line.startswith("│")).split("│")
+    return float(next(cell for name, cell in zip(names, row, strict=True) if name.strip().startswith("peak")))
 
 
 @mock.patch.dict(os.environ, COLUMNS="200")  # a row of the table stands on one line
