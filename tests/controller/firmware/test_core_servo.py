@@ -13,7 +13,8 @@ from controller.firmware.build import CORE, FLAGS, STRICT, build, compiler, sour
 from controller.firmware.core_device import REPLAY
 from controller.protocol.codes import EVENT_CODES, EVENTS
 from controller.protocol.image import image_of
-from controller.servo.interface import Fault, Notice
+from controller.servo.interface import Fault, Notice, Readings, State
+from tests.benches.compiled import servo_of
 from tests.benches.core_replay import EXCITE, NEGATIVE, Core, Recorder, write_runs
 from tests.benches.device import clean_answers
 from tests.campaigns.parity_runs import random_run, tap_run
@@ -179,3 +180,18 @@ def test_the_driver_refuses_what_is_no_run(tmp_path: Path) -> None:
     driver = build("replay", PROGRAM)
     for path in (tmp_path / "runs", tmp_path / "nowhere"):
         assert subprocess.run([str(driver), str(path)], capture_output=True, check=False, timeout=60).returncode == 1
+
+
+def test_a_fault_is_left_by_a_reset_once_its_cause_is_gone(library: Library) -> None:
+    servo, states = servo_of(library), []
+    for tick, (stopped, reset) in enumerate(
+        [(False, True), (True, False), (False, False), (True, True), (False, True)]
+    ):
+        if reset:
+            servo.reset()
+        servo.arm()
+        states.append(servo.step(Readings(tick, 500, 3.0, 0.0, 0.0, emergency_stop=stopped)).state)
+    assert states == [State.ARMED, State.FAULT, State.FAULT, State.FAULT, State.FAULT]
+    servo.reset()
+    servo.arm()
+    assert servo.step(Readings(5, 500, 3.0, 0.0, 0.0)).state is State.ARMED
