@@ -205,8 +205,8 @@ def taps_for(library: Library, stored: Bank, minutes: float, seed: int) -> Minut
     until_s, now_s = 60 * minutes, 0.0
     while now_s < until_s:
         iv, ig = (int(random.integers(0, nodes)) for nodes in library.command.shape[:2])
-        play = stored.at(float(library.speeds_m_s[iv]), float(library.grips_N[ig]))
-        norms_A = play.transient_A, play.cool_transient_A, play.feedback_A
+        cool_A = stored.cool_transient_A[iv][ig] if stored.cool_transient_A else np.inf
+        norms_A = stored.transient_A[iv][ig], cool_A, stored.feedback_A[iv][ig]
         scale, second = warm.allowed(*guard.coil_C(), *norms_A, N + 1)
         word = "withheld" if scale <= 0 else "scaled" if scale < 1 else "blended" if second > 0 else "whole"
         played[word] += 1

@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from controller.host.payload import Payload
     from controller.record.played import PlayedTap
     from controller.sim.simulator import Imperfections
-    from controller.waveforms.bank import Bank
     from transopt.library.library import Library
     from transopt.plant.intention import Yielding
 
@@ -125,7 +124,7 @@ def _simulated(
     from controller.sim.port import WallClock
     from controller.sim.simulated_tap import SimulatedTap
     from controller.sim.true_device import device_of
-    from controller.waveforms.bank import Method, bank
+    from controller.waveforms.bank import Method, bank, solved_for
     from controller.waveforms.prediction import scene_of
     from transopt.plant.intention import YIELDINGS
 
@@ -135,7 +134,7 @@ def _simulated(
     speed_m_s, grip_N = _middle(library, speed, grip)
     table = bank(library, Method(method))
     if method == Method.ONLINE.value:
-        table = _solved_for(library, table, speed_m_s, grip_N)
+        table = solved_for(library, table, speed_m_s, grip_N)
     given = payload_of(
         library,
         None if method == Method.BILINEAR.value else table,
@@ -157,27 +156,6 @@ def _simulated(
     bench, _ = simulated_bench(given, true, [wanted], described=found.device, clock=clock)
     title = f"{path}: {speed_m_s:g} m/s, {grip_N:g} N, {method}, {user} user"
     return given, bench, title + ("" if true_device is None else f", on the device of {true_device}")
-
-
-def _solved_for(library: "Library", table: "Bank", speed_m_s: float, grip_N: float) -> "Bank":
-    """A table of the one transient that is solved for this speed and grip."""
-    from dataclasses import replace
-
-    import numpy as np
-
-    from controller.waveforms import online_bank
-
-    tap = online_bank.fresh(library, table).at(speed_m_s, grip_N)
-    if tap.silent:
-        return table
-    return replace(
-        table,
-        speeds_m_s=[tap.speed_m_s],
-        grips_N=[tap.grip_N],
-        command_A=np.array(tap.samples_A)[None, None],
-        transient_A=[[tap.transient_A]],
-        feedback_A=[[tap.feedback_A]],
-    )
 
 
 def _play(

@@ -1,8 +1,7 @@
-"""Waveforms as the servo plays them: a table over (speed, grip), blended once at contact."""
+"""Waveforms as a device stores them: a table over (speed, grip), which it blends once at contact."""
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
@@ -19,7 +18,7 @@ class Method(Enum):
     """Rendering method of a tap; the value is its name on the command line."""
 
     BILINEAR = "bilinear"  # the library as it is meant
-    ONLINE = "online"  # solved anew for what was measured, see `controller.waveforms.online_bank`
+    ONLINE = "online"  # solved anew for what was measured, see `solved_for`
     NEAREST = "nearest"  # its nearest node
     BLIND = "blind"  # one grip for all, as without a grip sensor
     PROPORTIONAL = "proportional"  # the wall's feedback alone, no transient
@@ -33,59 +32,12 @@ class Method(Enum):
 COOLED = (Method.BILINEAR, Method.NEAREST, Method.BLIND)  # a hot coil gets the library's cool commands with these
 
 
-@dataclass(frozen=True, slots=True)
-class Play:
-    """The transient of one contact.
-
-    Attributes
-    ----------
-    samples_A : transient commands, one per servo period; empty if this method has none.
-    speed_m_s, grip_N : point of the grid it was taken from, after clipping to the grid.
-    out_of_grid : whether the requested point lay outside the grid.
-    silent : whether nothing may be played, for lack of speed or grip.
-    transient_A, feedback_A : bounds on the norms of the currents, as `Guard.allowed` takes them.
-    cool_samples_A : the cool command, of less heat, as long as the first; empty where the table has none.
-    cool_transient_A : bound on the norm of its current; infinite where the table has none.
-    """
-
-    samples_A: list[float]
-    speed_m_s: float
-    grip_N: float
-    out_of_grid: bool
-    silent: bool
-    transient_A: float
-    feedback_A: float
-    cool_samples_A: list[float] = field(default_factory=list)
-    cool_transient_A: float = math.inf
-
-    def blended(self, cooled: float) -> list[float]:
-        """The samples with a part `cooled` (0 to 1) of the cool command and the rest of the first [A]."""
-        if not cooled > 0.0:
-            return self.samples_A
-        first = 1.0 - cooled
-        return [first * warm + cooled * cool for warm, cool in zip(self.samples_A, self.cool_samples_A, strict=True)]
-
-
-def _interval(nodes: list[float], value: float, nearest: bool) -> tuple[int, float, bool]:
-    """Interval of increasing nodes that `value` lies in, its place there (0..1), and whether it lay outside."""
-    j = 0
-    while j + 2 < len(nodes) and value >= nodes[j + 1]:
-        j += 1
-    if len(nodes) == 1:
-        return 0, 0.0, value != nodes[0]
-    place = (value - nodes[j]) / (nodes[j + 1] - nodes[j])
-    clamped = 0.0 if place < 0.0 else min(place, 1.0)
-    if nearest:
-        return j, 0.0 if clamped < 0.5 else 1.0, clamped != place
-    return j, clamped, clamped != place
-
-
 @dataclass(frozen=True)
 class Bank:
     """A table of transients.
 
-    A blend weights the four corners in a fixed order with products and sums only, so that the firmware computes the
-    same bits. Norms are convex, so the blend of the corners' norms bounds the norm of the blend.
+    A device blends the four nodes around a contact. Norms are convex, so the blend of the nodes' norms bounds the
+    norm of the blend.
 
     Attributes
     ----------
@@ -109,44 +61,6 @@ class Bank:
     nearest: bool
     cool_command_A: FloatArray | None = None
     cool_transient_A: list[list[float]] = field(default_factory=list)
-
-    def at(
-        self, speed_m_s: float, grip_N: float, winding_C: float | None = None, housing_C: float | None = None
-    ) -> Play:
-        """The transient for a contact; outside the grid its edge is taken, and NaN plays nothing.
-
-        A table knows no temperature: those given are for a bank that solves.
-        """
-        silent = not (speed_m_s > 0.0 and grip_N >= self.grip_min_N)
-        if silent:
-            return Play([], speed_m_s, grip_N, False, True, 0.0, 0.0)
-        iv, y, fast = _interval(self.speeds_m_s, speed_m_s, self.nearest)
-        ig, x, odd = _interval(self.grips_N, grip_N, self.nearest)
-        jv, jg = min(iv + 1, len(self.speeds_m_s) - 1), min(ig + 1, len(self.grips_N) - 1)
-        w = ((1.0 - y) * (1.0 - x), (1.0 - y) * x, y * (1.0 - x), y * x)
-
-        def blend(a: float, b: float, c: float, d: float) -> float:
-            return w[0] * a + w[1] * b + w[2] * c + w[3] * d
-
-        def norm(of: list[list[float]]) -> float:
-            return blend(of[iv][ig], of[iv][jg], of[jv][ig], of[jv][jg])
-
-        def samples(c: FloatArray) -> list[float]:
-            mixed = w[0] * c[iv, ig] + w[1] * c[iv, jg] + w[2] * c[jv, ig] + w[3] * c[jv, jg]
-            return list(mixed.tolist())
-
-        cool = self.cool_command_A
-        return Play(
-            samples_A=samples(self.command_A),
-            speed_m_s=(1.0 - y) * self.speeds_m_s[iv] + y * self.speeds_m_s[jv],
-            grip_N=(1.0 - x) * self.grips_N[ig] + x * self.grips_N[jg],
-            out_of_grid=fast or (odd and self.by_grip),
-            silent=False,
-            transient_A=norm(self.transient_A),
-            feedback_A=norm(self.feedback_A),
-            cool_samples_A=[] if cool is None else samples(cool),
-            cool_transient_A=math.inf if cool is None else norm(self.cool_transient_A),
-        )
 
 
 def bank(
@@ -227,4 +141,32 @@ def bank(
         nearest=method is Method.NEAREST,
         cool_command_A=None if cool is None else np.ascontiguousarray(cool),
         cool_transient_A=[] if cool is None else norms(currents(cool, amplifier, dt), amplifier, dt).tolist(),
+    )
+
+
+def solved_for(library: Library, table: Bank, speed_m_s: float, grip_N: float) -> Bank:
+    """The one transient that is solved for a speed and a grip; the table itself without a certified optimum.
+
+    In a simulation no virtual time passes during the solve. In real time it takes milliseconds, which the end of an
+    approach does not leave: it serves between taps, or on a host that predicts the contact.
+
+    Raises
+    ------
+    InputError : the solver's extension is not built.
+    """
+    from transopt.library.online import Online  # loads the solver
+
+    tap = Online(library).solve(speed_m_s, grip_N)
+    if not tap.solved:
+        return table
+    wave, amplifier, dt = tap.wave, library.amplifier(), library.dt_s
+    parts = np.stack([wave.transient_command, wave.command - wave.transient_command])
+    transient, feedback = norms(currents(parts, amplifier, dt), amplifier, dt)
+    return replace(
+        table,
+        speeds_m_s=[wave.speed_m_s],
+        grips_N=[wave.grip_N],
+        command_A=wave.transient_command[None, None],
+        transient_A=[[float(transient)]],
+        feedback_A=[[float(feedback)]],
     )

@@ -21,8 +21,9 @@ from collections import deque
 
 from controller.servo.interface import Event, Fault, Notice, Output, Readings, State
 from controller.servo.settings import Settings
-from controller.waveforms.bank import Bank, Play
+from controller.waveforms.bank import Bank
 from tests.benches.oracle.approach import Approach, Touch, Trigger
+from tests.benches.oracle.blend import Play, blend_at
 from tests.benches.oracle.faults import FAULTS, Watch
 from tests.benches.oracle.guard import Guard
 
@@ -111,7 +112,7 @@ class Servo:
         bank, guard = self.bank, self.guard
         if self.state is not State.ARMED or not self.settings.host_starts:
             return False
-        play = bank.at(bank.speeds_m_s[0], bank.grips_N[0])
+        play = blend_at(bank, bank.speeds_m_s[0], bank.grips_N[0])
         if play.silent:
             return False
         if guard is not None and guard.scale(play.transient_A, play.feedback_A, len(play.samples_A) + 1) < 1.0:
@@ -223,8 +224,7 @@ class Servo:
         speed, grip = approach.speed_m_s, watch.grip_N
         if touch is Touch.CHATTER or self.state is State.PLAYING:
             return self._note(NOTHING, tick, Notice.CONTACT_CHATTER, speed, grip)
-        heat = (None, None) if guard is None else (guard.winding_C, guard.housing_C)
-        play = self.bank.at(speed, grip, *heat)
+        play = blend_at(self.bank, speed, grip)
         if play.silent or self._loose():
             return self._note(NOTHING, tick, Notice.NO_GRIP, speed, grip)
         scale, cooled = 1.0, 0.0

@@ -9,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controller.protocol.image import bank_of, image_of
-from controller.waveforms.bank import Bank, Play
+from controller.waveforms.bank import Bank
 from tests.benches.compiled import TAIL, cooled, smooth_bank
+from tests.benches.oracle.blend import Play, blend_at
 from tests.benches.oracle.guard import Guard
 from tests.benches.servo import AMPLIFIER
 from transopt.base.signals import FloatArray
@@ -88,7 +89,7 @@ def table_of(seed: int) -> Bank:
 
 
 def drawn(bank: Bank, random: np.random.Generator) -> Play:
-    return bank.at(float(random.uniform(0.05, 0.6)), float(random.uniform(0.5, 7.0)))
+    return blend_at(bank, float(random.uniform(0.05, 0.6)), float(random.uniform(0.5, 7.0)))
 
 
 @pytest.mark.parametrize("bits", [8, 16])
@@ -133,7 +134,7 @@ def test_what_is_allowed_heats_no_more_than_predicted(seed: int) -> None:
 
 def test_a_table_without_second_transients_plays_as_before() -> None:
     both, one = cooled(smooth_bank()), smooth_bank()
-    play, alone = both.at(0.23, 2.2), one.at(0.23, 2.2)
+    play, alone = blend_at(both, 0.23, 2.2), blend_at(one, 0.23, 2.2)
     assert (alone.cool_samples_A, alone.cool_transient_A) == ([], math.inf)
     assert (play.samples_A, play.transient_A, play.feedback_A) == (
         alone.samples_A,

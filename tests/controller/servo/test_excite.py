@@ -14,6 +14,7 @@ from controller.servo.interface import Fault, Notice, Output, State
 from controller.servo.settings import Settings
 from controller.waveforms.bank import Bank, Method
 from tests.benches.device import Talker
+from tests.benches.oracle.blend import blend_at
 from tests.benches.servo import AMPLIFIER, DT_S, WALL
 from tests.benches.servo import Bench as ServoBench
 from transopt.base.errors import InputError
@@ -150,7 +151,7 @@ def test_the_heat_allows_all_of_it_or_none() -> None:
     hot = replace(COIL, start_winding_C=94.999, start_housing_C=94.999)
     bench = ServoBench(replace(SETTINGS, coil=hot), excitation(), still)
     bench.servo.arm()
-    guard, play = bench.servo.guard, bench.servo.bank.at(1.0, 0.0)
+    guard, play = bench.servo.guard, blend_at(bench.servo.bank, 1.0, 0.0)
     assert 0.0 < guard.scale(play.transient_A, 0.0, SAMPLES + 1) < 1.0
     assert not bench.servo.excite()
     assert bench.servo.state is State.ARMED

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy import optimize
 
 from controller.waveforms.bank import Bank, bank
+from tests.benches.oracle.blend import blend_at
 from tests.benches.oracle.guard import CEILING_C, Guard
 from transopt.library.library import Library
 from transopt.plant.coil import CoilModel, effective_square
@@ -106,7 +107,7 @@ def table(library: Library) -> Bank:
 def test_four_corners_bound_the_heat_of_a_blend(library: Library, table: Bank, seed: int) -> None:
     rng = np.random.default_rng(seed)
     part, scale = rng.uniform(0, 1), rng.uniform(0.25, 1)
-    play = table.at(rng.uniform(0.1, 0.4), rng.uniform(1, 5))
+    play = blend_at(table, rng.uniform(0.1, 0.4), rng.uniform(1, 5))
     held = np.concatenate([[0.0], play.samples_A, [0.0]])
     command = scale * ((1 - part) * held[1:] + part * held[:-1])
     amplifier = library.amplifier()

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from controller.servo.interface import Notice, Readings, State
 from controller.servo.settings import Settings
 from controller.waveforms.bank import Bank, Method, bank
+from tests.benches.oracle.blend import blend_at
 from tests.benches.oracle.servo import Servo
 from tests.benches.servo import AMPLIFIER, CONTACT, COUNT_M, DECAY, DT_S, WALL, Bench, tap_m
 from transopt.base.errors import InputError
@@ -65,7 +66,7 @@ def test_phase_is_exact_resampling_of_the_held_commands(
 @pytest.mark.parametrize("phase", [-0.999, -0.5, 0.0, 0.25, 2.75])
 def test_blending_is_linear_between_neighbours(stated: Settings, tables: Bank, phase: float) -> None:
     servo = Servo(stated, tables)
-    samples = tables.at(0.2, 3.0).samples_A
+    samples = blend_at(tables, 0.2, 3.0).samples_A
     servo.scale = 1.0
     servo._start(samples, phase)
     values, ended = [], False

@@ -7,6 +7,7 @@ import problems
 import transopt as to
 from controller.servo.settings import Settings
 from controller.waveforms.bank import bank
+from tests.benches.oracle.blend import blend_at
 from tests.benches.oracle.guard import Guard
 from transopt.base.errors import InputError
 from transopt.proof.replay import replay
@@ -32,7 +33,7 @@ def shown(request: pytest.FixtureRequest) -> tuple[Service, to.Library]:
 @pytest.mark.parametrize("left_K", [1.0, 0.3, 0.2, 0.1, 0.06, 1e-3, -1.0])
 def test_it_is_what_the_servo_decides_and_the_replay_plays(shown: tuple[Service, to.Library], left_K: float) -> None:
     service, library = shown
-    settings, play = Settings.of(library), bank(library).at(0.3, 3.0)
+    settings, play = Settings.of(library), blend_at(bank(library), 0.3, 3.0)
     assert settings.coil is not None
     guard = Guard(settings.coil, library.dt_s, settings.withhold_K, settings.least_scale)
     guard.winding_C = guard.housing_C = guard.play_limit_C - left_K

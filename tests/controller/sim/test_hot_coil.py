@@ -13,6 +13,7 @@ from controller.sim.played_tap import play_tap
 from controller.sim.simulated_tap import SimulatedTap
 from controller.waveforms.bank import Method, bank
 from controller.waveforms.prediction import Prediction, predict
+from tests.benches.oracle.blend import blend_at
 from tests.benches.oracle.servo import Servo
 from transopt.base.errors import InputError
 from transopt.base.signals import nrmse
@@ -34,7 +35,7 @@ def servo_at(library: Library, left: float) -> Servo:
     """A servo whose coil may take this part of the first transient's norm."""
     given = payload_of(library)
     servo = Servo(given.settings, bank_of(given.image)[0])
-    play = servo.bank.at(SPEED_M_S, GRIP_N)
+    play = blend_at(servo.bank, SPEED_M_S, GRIP_N)
     rise_K = servo.guard.rise_K(left * play.transient_A, play.feedback_A, len(play.samples_A) + 1, 1.0)
     servo.guard.winding_C = servo.guard.housing_C = servo.guard.play_limit_C - rise_K
     return servo
@@ -66,7 +67,7 @@ def test_methods_that_blend_the_library_carry_its_second_commands(cooled: Librar
         plain = bank(replace(cooled, cool=None), method)
         assert plain.cool_command_A is None
         np.testing.assert_array_equal(table.command_A, plain.command_A)
-    play = bank(cooled).at(SPEED_M_S, GRIP_N)
+    play = blend_at(bank(cooled), SPEED_M_S, GRIP_N)
     wanted = cooled.cool.at(SPEED_M_S, GRIP_N).transient_command
     np.testing.assert_allclose(play.cool_samples_A, wanted, rtol=0, atol=1e-12)
     assert play.cool_transient_A < play.transient_A

