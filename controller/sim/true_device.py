@@ -11,7 +11,7 @@ import numpy as np
 
 from controller.servo.settings import AMPLIFIER, RE_25
 from transopt.base.errors import InputError
-from transopt.base.matrices import balanced
+from transopt.base.matrices import exponential
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.bridge import Bridge
@@ -273,25 +273,6 @@ class Flow:
     whole: tuple[FloatArray, ...]
     half: tuple[FloatArray, ...]
     acceleration: FloatArray
-
-
-def exponential(X: FloatArray) -> FloatArray:
-    """exp(X), by Taylor's series to degree 16 of the balanced matrix, scaled to a 1-norm <= 1/2 and squared back.
-
-    scipy.linalg.expm solves with LU on all cores, which takes milliseconds when they are busy, and a ramping grip
-    needs hundreds. Balancing puts positions, velocities and forces in units of one size, so that at most a few
-    squarings are left; what the series leaves out is below 1e-19 of the balanced matrix.
-    """
-    even, size = balanced(X)
-    norm = float(np.abs(even).sum(axis=0).max())
-    squarings = int(np.ceil(np.log2(max(2 * norm, 1.0))))
-    scaled, unit = even / 2.0**squarings, np.eye(X.shape[0])
-    value = unit
-    for degree in range(16, 0, -1):  # Horner
-        value = unit + scaled @ value / degree
-    for _ in range(squarings):
-        value = value @ value
-    return np.asarray(value * size[:, None] / size)
 
 
 @lru_cache(maxsize=4096)

@@ -13,7 +13,7 @@ import problems
 from controller.sim.sensors import SensorBench, Sensors
 from controller.sim.simulated_tap import strike_real
 from controller.sim.simulator import NONE, Imperfections, Simulator, Trace
-from controller.sim.true_device import Ground, Joint, TrueDevice, device_of, exponential, rates
+from controller.sim.true_device import Ground, Joint, TrueDevice, device_of, rates
 from controller.sim.user import (
     RepeatedTaps,
     StillHand,
@@ -22,6 +22,7 @@ from controller.sim.user import (
     User,
 )
 from transopt.base.errors import InputError
+from transopt.base.matrices import exponential
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, nrmse
 from transopt.library.library import Library
 from transopt.plant.coil import effective_square
