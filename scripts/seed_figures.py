@@ -37,7 +37,6 @@ from typer import Option
 import problems
 from controller.sim.played_tap import Played
 from controller.waveforms.bank import Method
-from controller.waveforms.inversions import unlimited_optimum
 from controller.waveforms.prediction import scene_of
 from transopt.base.errors import InputError
 from transopt.base.machine import machine, versions
@@ -50,6 +49,7 @@ from transopt.identify.hand.lines import HandFit
 from transopt.library.library import Library
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
+from transopt.solvers import unlimited
 
 SCENE = "wood_on_foam"
 # From the optimum to what came before the seed.
@@ -210,7 +210,7 @@ def _compared(experiment: Experiment, condition: Condition, taps: dict[str, Play
     library, (_, low) = experiment.library, experiment.limits_A
     iv, ig = library.speeds_m_s.tolist().index(condition[0]), library.grips_N.tolist().index(condition[1])
     problem = library.problem(iv, ig)
-    _, current = problem.stage.rollout(unlimited_optimum(problem))
+    _, current = problem.stage.rollout(unlimited.solve([problem])[0].command)
     told = {name: result(library, played, Method.BILINEAR, NOMINAL) for name, played in taps.items()}
     own, g = taps["optimum"], STANDARD_GRAVITY_M_S2
     return Compared(

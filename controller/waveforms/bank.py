@@ -7,11 +7,12 @@ from enum import Enum
 import numpy as np
 
 from controller.waveforms import predecessors
-from controller.waveforms.inversions import inversion
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.library.library import Library
+from transopt.problem.baselines import clipped_optimum, seed_inversion
 from transopt.problem.warm_coil import currents, norms
+from transopt.solvers import unlimited
 
 
 class Method(Enum):
@@ -108,7 +109,7 @@ def bank(
         grips, by_grip = grips[:1], False
     elif method in (Method.SEED_INVERSION, Method.CLIPPED_OPTIMUM):
         optimal = method is Method.CLIPPED_OPTIMUM
-        command = nodes(lambda iv, ig: inversion(library, iv, ig, optimal=optimal))
+        command = nodes(lambda iv, ig: _inversion(library, iv, ig, optimal=optimal))
     else:
         # These methods ignore the grip and use one mass, the mean over the grips.
         waveform = {
@@ -142,6 +143,24 @@ def bank(
         cool_command_A=None if cool is None else np.ascontiguousarray(cool),
         cool_transient_A=[] if cool is None else norms(currents(cool, amplifier, dt), amplifier, dt).tolist(),
     )
+
+
+def _inversion(library: Library, iv: int, ig: int, *, optimal: bool) -> FloatArray:
+    """(N,) transient command of one node by clipping the unlimited optimum, or by the seed's inversion.
+
+    A library stores the errors of both, not their commands. The total current is clipped at the library's limit; with
+    a wall its predicted feedback is subtracted, as for the optimum.
+    """
+    problem = library.problem(iv, ig).without_intensity()
+    limit = problem.limits.input_limit
+    if optimal:
+        [free] = unlimited.solve([problem])
+        command = clipped_optimum(problem.stage, problem.grid, free.command, limit)
+    else:
+        command = seed_inversion(
+            problem.stage, problem.grid, problem.reference_m_s2, limit, problem.hand_over_samples
+        )
+    return problem.transient_command(command)
 
 
 def solved_for(library: Library, table: Bank, speed_m_s: float, grip_N: float) -> Bank:

@@ -9,14 +9,12 @@ from hypothesis import strategies as st
 
 from controller.waveforms import predecessors
 from controller.waveforms.bank import Bank, Method, bank
-from controller.waveforms.inversions import unlimited_optimum
 from tests.benches.oracle.blend import blend_at
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.design.build import Build
 from transopt.library.library import Library
 from transopt.problem.warm_coil import currents
-from transopt.solvers import unlimited
 
 
 @pytest.fixture(scope="module")
@@ -93,13 +91,6 @@ def test_baselines_are_those_whose_errors_a_report_tells(
                 found = library.yardstick.tap_error(library.uncorrected(iv, ig), acceleration[iv])
                 told = getattr(build.entries[iv][ig].baselines, stored).tap_error
                 assert found == pytest.approx(told, abs=1e-6)
-
-
-def test_unlimited_optimum_agrees_with_the_designers(library: Library) -> None:
-    problem = library.problem(3, 2)
-    np.testing.assert_allclose(unlimited_optimum(problem), unlimited.solve([problem])[0].command, atol=1e-7)
-    silent = problem.towards(np.zeros(problem.grid.stages))
-    assert not unlimited_optimum(silent).any()
 
 
 def asking_for(library: Library, shape: FloatArray) -> Library:
