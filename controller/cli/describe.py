@@ -151,6 +151,7 @@ def _asked(offered: Any) -> dict[str, Any]:
 def _checked_answer(kind: Any, table: str, key: str, why: str, default: Any) -> Any:
     from pydantic import ValidationError
 
+    from transopt.base.toml import in_words
     from transopt.base.units import unit_of
 
     def parsed(text: str) -> Any:
@@ -163,7 +164,7 @@ def _checked_answer(kind: Any, table: str, key: str, why: str, default: Any) -> 
         try:
             kind.model_validate({key: value})
         except ValidationError as error:
-            raise ValueError(error.errors()[0]["msg"].replace("Input should be", "must be")) from None
+            raise ValueError(in_words(error.errors()[0]["msg"])) from None
         return value
 
     return answer(f"{table}.{key}", why, unit_of(key), default, parsed, without=NO_ANSWERS)

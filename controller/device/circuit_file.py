@@ -10,9 +10,10 @@ from pathlib import Path
 from controller.device import circuit as parts
 from controller.device.circuit import Circuit, Scale, Scales
 from controller.device.device_file import Accelerometer, DeviceFile, Encoder, Grip
-from controller.device.reading import as_text, read_section
+from controller.device.reading import as_text
 from controller.protocol.capacity import Hardware
 from transopt.base.errors import InputError
+from transopt.base.toml import read_section
 from transopt.plant.motor import Motor
 from transopt.scene.builtin import FOLDER, scene_path
 from transopt.scene.file import read_scene

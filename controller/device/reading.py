@@ -1,28 +1,22 @@
 """Find, read and write device files; an error is one line with file, key, value and limit."""
 
 import re
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar, get_args
-
-from pydantic import ValidationError
+from typing import Any
 
 from controller.device.device_file import BUILT_IN, LEAST_SCALE, TABLES, DeviceFile
 from transopt.base.errors import InputError
-from transopt.base.files import check_depth, is_file, read_file, whole_file
+from transopt.base.files import is_file, whole_file
 from transopt.base.nearest import did_you_mean
-from transopt.base.section import Section
-from transopt.base.shown import cut
-from transopt.base.sizes import MOST_TEXT_BYTES
+from transopt.base.toml import parse_toml, read_text, read_toml, section_of
 
 BESIDE = "device.toml"  # name of the device file in the folder of a library
 EXAMPLES = Path(__file__).parent / "examples"
 ADVICE = "a device file is TOML; `transopt-play device new FILE` writes one"
 OF_A_CIRCUIT = "power"  # a table of every circuit file, which no device file has
 SCALES = ("grip.scale", "accelerometer.scale", "amplifier.scale", "amplifier.monitor_scale")
-Read = TypeVar("Read", bound=Section)
 _TABLE = re.compile(r"^\s*\[\s*([^\]]*?)\s*\]")
 
 
@@ -110,70 +104,17 @@ def read_device(path: Path) -> Described:
 
 
 def _described(path: Path, kept: Path | None, source: str) -> Described:
-    device, content = read_section(path, DeviceFile, ADVICE)
+    content = read_toml(path, ADVICE)
+    if OF_A_CIRCUIT in content:
+        made = f"`transopt-play device circuit {path}` writes offered.toml beside it: give that"
+        raise InputError(f"{path}: a circuit file, no device file: {made}")
+    device = section_of(path, content, DeviceFile)
     for key in SCALES:
         value = value_of(device, key)
         if abs(value) < LEAST_SCALE:
             raise InputError(f"{path}: {key} = {value:g}: its size must be {LEAST_SCALE:g} or more")
     stated = frozenset(f"{table}.{key}" for table in TABLES for key in content.get(table, {}))
     return Described(device, kept, source, stated)
-
-
-def read_section(path: Path, kind: type[Read], advice: str) -> tuple[Read, dict[str, Any]]:
-    """A TOML file validated as a section of kind `kind`, and its raw content.
-
-    Raises
-    ------
-    InputError : the file cannot be read or is not valid; `advice` is the next step in the message.
-    """
-    content = _toml(_text(path, advice), path, advice)
-    try:
-        return kind.model_validate(content), content
-    except ValidationError as error:
-        if kind is DeviceFile and OF_A_CIRCUIT in content:
-            made = f"`transopt-play device circuit {path}` writes offered.toml beside it: give that"
-            raise InputError(f"{path}: a circuit file, no device file: {made}") from None
-        raise InputError(_complaint(path, error, kind)) from None
-
-
-def _text(path: Path, advice: str = ADVICE) -> str:
-    try:
-        return read_file(path, MOST_TEXT_BYTES, advice).decode("utf-8").replace("\r\n", "\n")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: cannot be read as text ({error}); {advice}") from None
-
-
-def _toml(text: str, path: Path, advice: str = ADVICE) -> dict[str, Any]:
-    try:
-        content = tomllib.loads(text)
-        check_depth(content)
-        return content
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not valid TOML: {error}; {advice}") from None
-
-
-def _complaint(path: Path, error: ValidationError, kind: type[Section]) -> str:
-    """The first error in one line; unknown keys come before wrong values."""
-    complaints = error.errors()
-    first = min(complaints, key=lambda complaint: complaint["type"] != "extra_forbidden")
-    keys = [str(key) for key in first["loc"]]
-    where = ".".join(keys)
-    more = f" (and {len(complaints) - 1} more)" if len(complaints) > 1 else ""
-    if first["type"] == "extra_forbidden":
-        known = list(_table_at(kind, keys[:-1]).model_fields)
-        text = f"unknown key{did_you_mean(keys[-1], known)}; known here: {', '.join(known)}"
-        return f"{path}: {where}: {text}{more}"
-    message = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
-    said = f"{where} = {cut(repr(first['input']))}: " if where else ""  # else the keys as a whole are amiss
-    return f"{path}: {said}{message}{more}"
-
-
-def _table_at(kind: type[Section], keys: list[str]) -> type[Section]:
-    """The type of the table under these keys; the annotation of an optional table includes None."""
-    for key in keys:
-        said = kind.model_fields[key].annotation
-        kind = next(one for one in (*get_args(said), said) if isinstance(one, type) and issubclass(one, Section))
-    return kind
 
 
 def as_text(device: DeviceFile, head: str = "") -> str:
@@ -227,7 +168,7 @@ def restate(path: Path, key: str, value: float) -> None:
     InputError : the file cannot be read or written, or its layout does not allow the change.
     """
     table, _, name = key.partition(".")
-    lines, inside, at, end = _text(path).split("\n"), False, None, None
+    lines, inside, at, end = read_text(path, ADVICE).split("\n"), False, None, None
     wanted = re.compile(rf"^(\s*(?:#\s*)?{re.escape(name)}\s*=\s*)([^#]*?)(\s*(?:#.*)?)$")
     for j, line in enumerate(lines):
         heading = _TABLE.match(line)
@@ -245,7 +186,7 @@ def restate(path: Path, key: str, value: float) -> None:
     else:
         lines = [*lines[: -1 if lines[-1] == "" else None], "", f"[{table}]", f"{name} = {value!r}", ""]
     text = "\n".join(lines)
-    if _toml(text, path).get(table, {}).get(name) != value:
+    if parse_toml(text, path, ADVICE).get(table, {}).get(name) != value:
         raise InputError(
             f"{path}: write {name} = {value!r} into its table [{table}] by hand; it is laid out unusually"
         )

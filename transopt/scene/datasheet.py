@@ -10,14 +10,13 @@ import tomllib
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
-from transopt.base.errors import InputError
 from transopt.base.section import NonNegative, Positive, Section
 from transopt.base.sizes import MOST_STAGES
 from transopt.base.writing import rounded_down
 from transopt.plant.state_space import POSITION, StateSpace
-from transopt.scene.file import explain
+from transopt.scene.file import validated
 from transopt.scene.scene import Scene
 
 KINDS = ("inertial", "voice_coil", "shaker")
@@ -151,11 +150,7 @@ def scene_text(sheet: Datasheet, name: str) -> str:
 
 
 def _scene(sheet: Datasheet, name: str, text: str) -> Scene:
-    content = {**tomllib.loads(text), "name": name}
-    try:
-        return Scene.model_validate(content)
-    except ValidationError as error:
-        raise InputError(explain(f"the datasheet of {name}", error, content)) from None
+    return validated(f"the datasheet of {name}", {**tomllib.loads(text), "name": name})
 
 
 def _peak_m_s2(sheet: Datasheet, plant: StateSpace) -> float:

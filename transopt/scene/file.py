@@ -1,20 +1,17 @@
 """Reads scene files; errors name the file's table, key, value and limit."""
 
 import re
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
-from pydantic import BaseModel, ValidationError
-from pydantic_core import ErrorDetails
+from pydantic import ValidationError
 
+from transopt.base import toml
 from transopt.base.errors import InputError
-from transopt.base.files import check_depth, is_file, read_file
+from transopt.base.files import is_file
 from transopt.base.nearest import did_you_mean
-from transopt.base.section import Section
 from transopt.base.shown import cut
-from transopt.base.sizes import MOST_TEXT_BYTES
 from transopt.plant.matrices import Matrices
 from transopt.plant.state_space import StateSpace
 from transopt.scene.model_file import identified_table, put_model, served_grips
@@ -35,117 +32,39 @@ REPLACED = {
     ),
     "weights.tracking": "write weights.plain, the weight of the unfiltered error over hand.intention_s",
 }
-# Pydantic's message where a table is expected, which names classes.
-_A_TABLE = re.compile(r"Input should be a valid dictionary or (instance of \w+|object to extract fields from)")
 _MODEL_LINE = re.compile(r"^\s*model\s*=", re.MULTILINE)
 _MODEL_TABLE = re.compile(r"^\s*\[model[.\]]", re.MULTILINE)
+ADVICE = "a scene is a TOML file; `transopt scene list` names the built-in scenes"
 
 
-def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file, unchecked.
+def explain(source: Path | str, error: ValidationError, content: dict[str, Any]) -> str:
+    """One line with pydantic's first complaint about a scene's content."""
+    return toml.explain(source, error, content, Scene, whole="scene", replaced=REPLACED)
+
+
+def validated(source: Path | str, content: dict[str, Any]) -> Scene:
+    """The scene with these tables, checked as a whole.
 
     Raises
     ------
-    InputError : no such file, not a text file, or not TOML.
+    InputError : one line: source, key, value, what is wrong.
     """
-    advice = "a scene is a TOML file; `transopt scene list` names the built-in scenes"
     try:
-        # Files written on Windows end lines with \r\n.
-        text = read_file(path, MOST_TEXT_BYTES, advice).decode("utf-8").replace("\r\n", "\n")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: cannot be read as text ({error}); a scene is a TOML file") from None
+        return Scene.model_validate(content)
+    except ValidationError as error:
+        raise InputError(explain(source, error, content)) from None
+
+
+def _tables(path: Path) -> dict[str, Any]:
+    """The tables of a scene file, unchecked."""
+    text = toml.read_text(path, ADVICE)
     try:
-        content = tomllib.loads(text)
-        check_depth(content)
-        return content
-    except RecursionError:
-        raise InputError(
-            f"{path}: not valid TOML: nested too deep; a scene has tables in tables, no deeper"
-        ) from None
-    except ValueError as error:  # not only TOMLDecodeError: a number with too many digits raises a plain one
+        return toml.parse_toml(text, path, ADVICE)
+    except InputError:
         if _MODEL_LINE.search(text) and _MODEL_TABLE.search(text):
             clash = "states a model file (model = ...) and [model] tables: write model_file = ... in that line"
             raise InputError(f"{path}: {clash}") from None
-        raise InputError(f"{path}: not valid TOML: {error}{_line_of(text, str(error))}") from None
-
-
-def _line_of(text: str, message: str) -> str:
-    """The line that is not TOML, with a hint if it has a decimal comma."""
-    at = re.search(r"at line (\d+)", message)
-    if at is None:
-        return ""
-    line = text.split("\n")[int(at[1]) - 1].partition("#")[0].strip()
-    comma = ": numbers have a decimal point" if re.search(r"=\s*-?\d+,\d", line) else ""
-    return f": {cut(line)}{comma}"
-
-
-def _keys_only(complaint: ErrorDetails, content: Any) -> tuple[str | int, ...]:
-    """The keys of a complaint's location; pydantic also lists the names of union members among them."""
-    keys: list[str | int] = []
-    for step in complaint["loc"]:
-        inside = step in content if isinstance(content, dict) else isinstance(step, int)
-        if inside:
-            content = content[step]
-            keys.append(step)
-    if complaint["type"] == "missing":
-        keys.append(complaint["loc"][-1])
-    return tuple(keys)
-
-
-def _known_keys(keys: tuple[str | int, ...], content: Any, kind: type[Section]) -> list[str]:
-    """The keys that the table which contains the last of `keys` may have."""
-    tables: list[Any] = [kind]
-    for key in keys[:-1]:
-        content = content[key]
-        annotations = [t.model_fields[key].annotation for t in tables if key in t.model_fields]
-        members = [member for a in annotations for member in (a, *get_args(a))]
-        tables = [member for member in members if isinstance(member, type) and issubclass(member, Section)]
-        of_kind = [
-            t
-            for t in tables
-            if "kind" in t.model_fields and content.get("kind") in get_args(t.model_fields["kind"].annotation)
-        ]
-        tables = of_kind or tables
-    return list(dict.fromkeys(name for table in tables for name in table.model_fields))
-
-
-def explain(source: Path | str, error: ValidationError, content: dict[str, Any], kind: type[Section] = Scene) -> str:
-    """One line with pydantic's first complaint about a scene's content, and the number of further keys concerned.
-
-    Parameters
-    ----------
-    source : the file or the scene's name, with which the line begins.
-    error : pydantic's error.
-    content : the tables that were validated.
-    kind : their class, if they are not a scene but another file.
-    """
-    # A misspelt key is named before the key that is missing because of it.
-    first = min(error.errors(), key=lambda complaint: complaint["type"] != "extra_forbidden")
-    keys = _keys_only(first, content)
-    where = ".".join(str(key) for key in keys)
-    if first["type"] == "extra_forbidden":
-        known = _known_keys(keys, content, kind)
-        if where in REPLACED:
-            return f"{source}: {where}: {REPLACED[where]}"
-        text = f"{where}: unknown key{did_you_mean(str(keys[-1]), known)}; known here: {', '.join(known)}"
-        if kind is Scene and len(keys) > 1 and keys[-1] in Scene.model_fields:
-            text = (
-                f"{where}: {keys[-1]} is a key of the scene, not of this table: put its line above the first [table]"
-            )
-    elif first["type"] == "missing":
-        text = f"{where}: missing; add it to the {'scene' if kind is Scene else 'file'}"
-    else:
-        message = _A_TABLE.sub("must be a table", first["msg"]).removeprefix("Value error, ")
-        message = message.replace("Input should be", "must be")
-        if first["type"] == "float_parsing":
-            message = "must be a number without quotes and unit: the key's name states the unit"
-        shown = "" if isinstance(first["input"], dict | BaseModel) else f" = {cut(repr(first['input']))}"
-        text = f"{where}{shown}: {message}" if where else message
-    others = {_keys_only(complaint, content) for complaint in error.errors()}
-    # Complaints about a table that contains this key come from the other members of a union; they are not counted.
-    elsewhere = [other for other in others if other != keys[: len(other)]]
-    more = f" (and {len(elsewhere)} more)" if elsewhere else ""
-    return f"{source}: {text}{more}"
+        raise
 
 
 def _identified(scene: Path, line: str, named: str) -> dict[str, Any]:
@@ -182,10 +101,7 @@ def with_model(scene: Scene, file: str | Path) -> Scene:
     """
     content = scene.model_dump()
     put_model(content, identified_table(Path(file), str(file)))
-    try:
-        return Scene.model_validate(content)
-    except ValidationError as error:
-        raise InputError(explain(scene.name, error, content)) from None
+    return validated(scene.name, content)
 
 
 def with_plant(scene: Scene, plant: StateSpace) -> Scene:
@@ -196,10 +112,7 @@ def with_plant(scene: Scene, plant: StateSpace) -> Scene:
     InputError : a plant that contradicts the scene, for example by its input and the scene's limits.
     """
     content = {**scene.model_dump(), "model": Matrices.of(plant).model_dump()}
-    try:
-        return Scene.model_validate(content)
-    except ValidationError as error:
-        raise InputError(explain(scene.name, error, content)) from None
+    return validated(scene.name, content)
 
 
 def _resolved(scene: Path, folder: str) -> str:
@@ -235,7 +148,7 @@ def read_scene(
     ------
     InputError : one line: file, key, value, what is wrong.
     """
-    content = read_toml(path)
+    content = _tables(path)
     for table in (content, content.get("recordings")) if accept else ():
         if isinstance(table, dict):
             table["implausible"] = "accept"
@@ -257,7 +170,7 @@ def read_scene(
             raise InputError(
                 f"{path}: {table} = {named!r}: no such file in {folders}{did_you_mean(named, known)}{built_in}"
             )
-        tables[key] = read_toml(found)
+        tables[key] = toml.read_toml(found, ADVICE)
     if content.get("implausible") != "accept":
         check_plausible(path, content)
     if model is not None:
@@ -281,12 +194,5 @@ def read_scene(
     if isinstance(limits, dict) and "own" in limits:
         # The user's own limits are written out over the stages, whose number follows from the rest of the scene.
         own = limits.pop("own")
-        limits["own"] = own_tables(path, own, _validated(path, content).stages)
-    return _validated(path, content)
-
-
-def _validated(path: Path, content: dict[str, Any]) -> Scene:
-    try:
-        return Scene.model_validate(content)
-    except ValidationError as error:
-        raise InputError(explain(path, error, content)) from None
+        limits["own"] = own_tables(path, own, validated(path, content).stages)
+    return validated(path, content)

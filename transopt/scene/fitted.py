@@ -14,6 +14,7 @@ from transopt.base.errors import InputError
 from transopt.base.section import Finite, Section, Words
 from transopt.base.signals import FloatArray
 from transopt.base.sizes import MOST_STATES
+from transopt.base.toml import in_words
 
 KINDS = ("drive", "state_space", "second_order", "fourth_order")
 SYMMETRY = 1e-6  # tolerance of symmetry and eigenvalues, relative to the standard deviations, for rounding
@@ -147,7 +148,7 @@ def complaint(error: ValidationError) -> str:
     first = min(errors, key=lambda found: found["type"] != "extra_forbidden")
     # Pydantic also lists the kind of a device or a hand in the location.
     where = ".".join(str(part) for part in first["loc"] if part not in KINDS)
-    message = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
+    message = in_words(first["msg"])
     if first["type"] == "extra_forbidden":
         message = "unknown field"
     elif first["type"] == "missing":

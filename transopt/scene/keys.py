@@ -16,9 +16,10 @@ from pydantic_core import PydanticUndefined
 from transopt.base.errors import InputError
 from transopt.base.nearest import nearest
 from transopt.base.section import Section, meanings
+from transopt.base.toml import in_words
 from transopt.base.units import largest, unit_of
 from transopt.plant.hand import LinearParameter
-from transopt.scene.file import explain
+from transopt.scene.file import validated
 from transopt.scene.scene import Scene
 
 Value = float | int | str | None
@@ -234,11 +235,7 @@ def with_values(scene: Scene, changes: Changes) -> Scene:
     ------
     InputError : one line: key, value, limit.
     """
-    content = _content(scene, changes)
-    try:
-        return Scene.model_validate(content)
-    except ValidationError as error:
-        raise InputError(explain(scene.name, error, content)) from None
+    return validated(scene.name, _content(scene, changes))
 
 
 def check_value(scene: Scene, path: str, value: Any) -> None:
@@ -257,5 +254,4 @@ def check_value(scene: Scene, path: str, value: Any) -> None:
             named = [part for part in complaint["loc"] if part in own or isinstance(part, int)]
             about = [part for part in named if not isinstance(part, int)]
             if about[: len(own)] == own and complaint["type"] != "missing":
-                message = complaint["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
-                raise InputError(f"{path} = {value}: {message}") from None
+                raise InputError(f"{path} = {value}: {in_words(complaint['msg'])}") from None

@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Annotated, Self
 
 import numpy as np
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from transopt.base.errors import InputError
 from transopt.base.section import Positive, Section, Words
 from transopt.base.signals import FloatArray
+from transopt.base.toml import read_section
 from transopt.plant.hand import HandSection, LinearParameter
 
 PARAMETERS = tuple(HandSection.model_fields)
@@ -151,10 +152,4 @@ def load_population(path: Path) -> Population:
     ------
     InputError : one line: file, key, what is wrong.
     """
-    from transopt.scene.file import explain, read_toml
-
-    content = read_toml(path)
-    try:
-        return Population.model_validate(content)
-    except ValidationError as error:
-        raise InputError(explain(path, error, content, Population)) from None
+    return read_section(path, Population, "a population is a TOML file, as the built-in stylus_grip.toml")[0]

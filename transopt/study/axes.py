@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
 from transopt.base.errors import InputError
 from transopt.base.nearest import did_you_mean
 from transopt.base.section import Section
+from transopt.base.toml import read_section
 from transopt.plant.motor import Motor, Transmission
-from transopt.scene.file import explain, read_toml
 from transopt.scene.keys import check_value, find_key, parse_value, with_values
 from transopt.scene.plausible import check_plausible
 from transopt.scene.scene import Scene
@@ -111,11 +110,7 @@ def _file(kind: str, name: str, search: Sequence[Path]) -> tuple[str, dict[str, 
         others = f" or one of {', '.join(known)}" if known else ""
         why = "several files begin so" if matches else f"no such file{did_you_mean(name, known)}"
         raise InputError(f"{kind} = {name}: {why}; give the path of a .toml file{others}")
-    content = read_toml(path)
-    try:
-        return path.stem, FILES[kind].model_validate(content).model_dump()
-    except ValidationError as error:
-        raise InputError(explain(path, error, content)) from None
+    return path.stem, read_section(path, FILES[kind], f"a {kind} is a TOML file")[0].model_dump()
 
 
 def parse_axis(scene: Scene, option: str, text: str, search: Sequence[Path] = ()) -> Axis:

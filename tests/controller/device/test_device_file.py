@@ -62,7 +62,7 @@ def test_where_a_device_file_is_found(tmp_path: Path) -> None:
         ("[encoder]\ndirection = 2", "encoder.direction = 2: must be -1 or 1"),
         ("[amplifier]\nscale = 0.01", "amplifier.scale = 0.01: its size must be 0.2 or more"),
         ("[amplifier]\nscale = nan", "amplifier.scale = nan"),
-        ("[grip]\nassumed_grip_N = 'firm'", "grip.assumed_grip_N = 'firm': must be a valid number"),
+        ("[grip]\nassumed_grip_N = 'firm'", "grip.assumed_grip_N = 'firm': must be a number without quotes"),
         ("[servo]\ndt_s = 1.0", "servo.dt_s = 1.0: must be less than"),
         ("encoder", "not valid TOML"),
     ],
