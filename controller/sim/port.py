@@ -1,6 +1,6 @@
 """The port `sim:`: a simulated device in virtual time, behind the same bytes as a device on a serial port.
 
-    host session  <- bytes ->  virtual link  <- bytes ->  compiled core  <- readings, command ->  simulated world
+    host session  <- bytes ->  line  <- bytes ->  compiled core  <- readings, command ->  simulated world
 
 Time advances only while the host waits in `read`, one servo period at a time: nothing sleeps, and the same seed gives
 the same run. The core is the firmware's, compiled for this machine.
@@ -14,7 +14,6 @@ from controller.firmware.core_device import CoreDevice, DeviceEnd
 from controller.protocol.capacity import Capacity, Hardware
 from controller.servo.interface import Output, Readings
 from controller.servo.settings import Settings
-from controller.sim.virtual_link import Link
 from transopt.base.errors import InputError
 
 SIMULATED = "sim:"
@@ -50,13 +49,36 @@ class World(Protocol):
         ...
 
 
+class Line:
+    """The line between host and device, which carries all bytes at once; that of a test may have troubles."""
+
+    def __init__(self) -> None:
+        self._for_device = self._for_host = b""
+
+    def host_sends(self, data: bytes, now_s: float) -> None:
+        self._for_device += data
+
+    def device_sends(self, data: bytes, now_s: float) -> None:
+        self._for_host += data
+
+    def at_device(self, now_s: float) -> bytes:
+        """The bytes that have arrived there by now."""
+        data, self._for_device = self._for_device, b""
+        return data
+
+    def at_host(self, now_s: float) -> bytes:
+        """The bytes that have arrived there by now."""
+        data, self._for_host = self._for_host, b""
+        return data
+
+
 class SimulatedPort:
     """A `controller.host.connection.Connection` to a simulated device.
 
     Parameters
     ----------
     dt_s : servo period of the device.
-    link : link between host and device; None for one without delay and faults.
+    line : between host and device; None for one without delay and faults.
     clock : clock that paces the run; None runs as fast as possible.
 
     Attributes
@@ -68,10 +90,10 @@ class SimulatedPort:
     name, harmless = SIMULATED, True
 
     def __init__(
-        self, end: DeviceEnd, world: World, dt_s: float, *, link: Link | None = None, clock: Clock | None = None
+        self, end: DeviceEnd, world: World, dt_s: float, *, line: Line | None = None, clock: Clock | None = None
     ) -> None:
         self.end, self.world, self.dt_s = end, world, dt_s
-        self.link = Link() if link is None else link
+        self._line = Line() if line is None else line
         self.ticks, self.behind_s = 0, 0.0
         self._clock, self._began_s = clock, 0.0 if clock is None else clock.now_s()
 
@@ -81,10 +103,10 @@ class SimulatedPort:
     def step(self) -> None:
         """One servo period."""
         now_s = self.now_s()
-        if arrived := self.link.to_device.arrived(now_s):
+        if arrived := self._line.at_device(now_s):
             self.end.receive(arrived)
         self.world.advance(self.end.step(self.world.readings(self.ticks)))
-        self.link.device_sends(self.end.bytes_to_send(), now_s)
+        self._line.device_sends(self.end.bytes_to_send(), now_s)
         self.ticks += 1
         if self._clock is not None:
             ahead_s = self.now_s() - (self._clock.now_s() - self._began_s)
@@ -96,12 +118,12 @@ class SimulatedPort:
         end_s = self.now_s() + timeout_s
         while True:
             self.step()
-            data = self.link.to_host.arrived(self.now_s())
+            data = self._line.at_host(self.now_s())
             if data or self.now_s() >= end_s:
                 return data
 
     def write(self, data: bytes) -> None:
-        self.link.host_sends(data, self.now_s())
+        self._line.host_sends(data, self.now_s())
 
     def close(self) -> None:
         """Nothing to release."""

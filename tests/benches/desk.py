@@ -19,6 +19,7 @@ from controller.sim.simulator import Simulator
 from controller.sim.true_device import device_of
 from controller.waveforms.prediction import scene_of
 from tests.benches.device import started, tokens
+from tests.benches.virtual_link import Link
 from transopt.library.library import Library
 from transopt.recordings.settings import SimulatedTaps
 
@@ -134,7 +135,7 @@ class Desk(Cable):
 
     Attributes
     ----------
-    wrong : what is wrong with the sensors: applied to every tick's readings.
+    link : to the host. wrong : what is wrong with the sensors: applied to every tick's readings.
     motor : of the command on its way.
     each_ms : called every millisecond of virtual time, for what shall happen meanwhile.
     """
@@ -152,7 +153,8 @@ class Desk(Cable):
         self._tokens, self._boots = tokens(), count(500)
         self._samples, self._hardware, self._gravity_m_s2 = samples, hardware, gravity_m_s2
         self._simulated = simulated
-        super().__init__(self._started(), self, DT_S)
+        self.link = Link()
+        super().__init__(self._started(), self, DT_S, line=self.link)
         self.hand = Hand()
         self.plant = Simulator(device_of(scene_of(library)), self.hand, DT_S, target=target, steps=1)
         self.wrong: Callable[[Readings], Readings] | None = None

@@ -21,10 +21,10 @@ from controller.protocol.packed import Packed
 from controller.protocol.wire import DELIMITER, Decoder, decode, encode
 from controller.servo.interface import Output, Readings, State
 from controller.servo.settings import Settings
-from controller.sim.virtual_link import Trouble
 from tests.benches.compiled import smooth_bank
 from tests.benches.rehearsal import Rehearsal
 from tests.benches.servo import AMPLIFIER, DT_S
+from tests.benches.virtual_link import Trouble
 
 SETTINGS = Settings(DT_S, 3 * DT_S, 4.0, AMPLIFIER, window_ticks=20)
 CONFIGURATION = configuration_of(SETTINGS)

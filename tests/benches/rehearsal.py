@@ -11,7 +11,7 @@ from controller.firmware.core_device import DeviceEnd
 from controller.host.session import Session
 from controller.protocol.events import News
 from controller.servo.interface import Output, Readings, State
-from controller.sim.virtual_link import Link, Trouble
+from tests.benches.virtual_link import Link, Trouble
 
 HOST_TICKS = 10
 

@@ -5,7 +5,7 @@ from controller.host.connection import Connection
 from controller.host.driver import Device
 from controller.protocol.wire import DELIMITER
 from controller.sim.port import SimulatedPort, World
-from controller.sim.virtual_link import Link, Trouble
+from tests.benches.virtual_link import Link, Trouble
 
 UART_BITS, DRIVER_BYTES = 10, 4096
 
@@ -21,7 +21,8 @@ class SlowLine(SimulatedPort):
     name, harmless = "slow line", False
 
     def __init__(self, core: CoreDevice, world: World, dt_s: float, baud: float, latency_s: float = 16e-3) -> None:
-        super().__init__(core, world, dt_s, link=Link(Trouble(latency_s=latency_s)))
+        self.link = Link(Trouble(latency_s=latency_s))
+        super().__init__(core, world, dt_s, line=self.link)
         self._core, self._rate_B, self._credit_B = core, baud / UART_BITS * dt_s, 0.0
         self._waiting, self._sent = b"", b""
 

@@ -28,9 +28,9 @@ from controller.protocol.codes import EVENTS, REASONS, Kind
 from controller.protocol.configuration import configuration_of
 from controller.protocol.image import image_of
 from controller.protocol.wire import Decoder, encode
-from controller.sim.virtual_link import Trouble
 from tests.benches.compiled import DT_S, SETTINGS, TAIL, cooled, smooth_bank
 from tests.benches.rehearsal import Rehearsal
+from tests.benches.virtual_link import Trouble
 from tests.campaigns.conversations import conversation
 from tests.campaigns.harness import long_form
 from tests.campaigns.recorded import BOOT, Conversation, Overheard, load, save

@@ -20,10 +20,10 @@ from controller.sim.compiled_device import CompiledDevice
 from controller.sim.sensors import SEED_SENSORS
 from controller.sim.true_device import DEFAULT_DEVICE
 from controller.sim.user import StillHand
-from controller.sim.virtual_link import Trouble
 from tests.benches.commands import Run, assert_refused
 from tests.benches.compiled import plant_of
 from tests.benches.desk import DT_S, PORT, Desk
+from tests.benches.virtual_link import Trouble
 from tests.controller.cli.test_device import interrupt
 from transopt.identify.measurement import load_measurement
 from transopt.library.library import Library

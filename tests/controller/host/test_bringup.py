@@ -22,8 +22,8 @@ from controller.host.payload import payload_of
 from controller.protocol.messages import PULSE_SOUND
 from controller.servo.interface import Readings, State
 from controller.servo.settings import Settings
-from controller.sim.virtual_link import Trouble
 from tests.benches.desk import Desk
+from tests.benches.virtual_link import Trouble
 from transopt.base.errors import InputError
 from transopt.library.library import Library
 

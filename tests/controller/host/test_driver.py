@@ -12,9 +12,9 @@ from controller.protocol.codes import Kind, LinkNotice
 from controller.protocol.events import Happened, Samples
 from controller.protocol.image import sha256
 from controller.servo.interface import Fault, Notice, Readings, State
-from controller.sim.virtual_link import Trouble
 from tests.benches.desk import Cable
 from tests.benches.device import CONFIGURATION, DT_S, EXCITED, IMAGE, ONE_WAVEFORM, World, image, started
+from tests.benches.virtual_link import Trouble
 from transopt.base.errors import InputError
 
 
@@ -22,7 +22,7 @@ class VirtualStream(Cable):
     """The host's side of a world, whose time passes while the host waits."""
 
     def __init__(self, world: World) -> None:
-        super().__init__(world.device, world, DT_S, link=world.link)  # type: ignore[arg-type]
+        super().__init__(world.device, world, DT_S, line=world.link)  # type: ignore[arg-type]
         self.world, world.host_alive = world, False  # the driver pumps, not the world
 
     def now_s(self) -> float:

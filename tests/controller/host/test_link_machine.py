@@ -14,9 +14,9 @@ from controller.protocol.events import Happened
 from controller.protocol.image import sha256
 from controller.protocol.messages import NO_HASH
 from controller.servo.interface import Readings, State
-from controller.sim.virtual_link import Trouble
 from tests.benches.device import CONFIGURATION, DT_S, EXCITED, IMAGE, ONE_WAVEFORM, World, image
 from tests.benches.servo import COUNT_M
+from tests.benches.virtual_link import Trouble
 
 ACTIVE = (State.ARMED, State.PLAYING)
 LEASE_MS = 100

@@ -13,10 +13,10 @@ from controller.protocol.events import Cause, Changed, Connected, Ended, Happene
 from controller.protocol.image import image_of, sha256
 from controller.protocol.wire import Decoder, encode
 from controller.servo.interface import Fault, Notice, Readings, State
-from controller.sim.virtual_link import Trouble
 from tests.benches.compiled import smooth_bank as table
 from tests.benches.device import CONFIGURATION, DT_S, IMAGE, SETTINGS, World, image, reframed, tokens
 from tests.benches.servo import COUNT_M
+from tests.benches.virtual_link import Trouble
 from transopt.base.errors import InputError
 
 

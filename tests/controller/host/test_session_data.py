@@ -9,8 +9,8 @@ from controller.protocol.configuration import configuration_of
 from controller.protocol.events import Completed, Progress, Samples
 from controller.protocol.image import sha256
 from controller.servo.interface import Readings
-from controller.sim.virtual_link import Trouble
 from tests.benches.device import CONFIGURATION, DT_S, IMAGE, SETTINGS, World, image
+from tests.benches.virtual_link import Trouble
 from transopt.base.errors import InputError
 
 

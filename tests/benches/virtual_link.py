@@ -1,4 +1,4 @@
-"""A serial link in virtual time that can delay, lose, damage and repeat frames, and be unplugged; for tests.
+"""A serial link in virtual time that can delay, lose, damage and repeat frames, and be unplugged.
 
 Bytes stay in order. Faults affect whole frames when they are sent, drawn by a seeded generator, so runs repeat.
 """
@@ -8,6 +8,7 @@ from collections import Counter, deque
 from dataclasses import dataclass
 
 from controller.protocol.wire import DELIMITER
+from controller.sim.port import Line
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +85,7 @@ class Direction:
         self._under_way.clear()
 
 
-class Link:
+class Link(Line):
     """Both directions of a link; while not `connected` everything is lost, frames in transit included."""
 
     def __init__(self, trouble: Trouble | None = None, seed: int = 0) -> None:
@@ -111,3 +112,9 @@ class Link:
     def device_sends(self, data: bytes, now_s: float) -> None:
         if self.connected:
             self.to_host.send(data, now_s)
+
+    def at_device(self, now_s: float) -> bytes:
+        return self.to_device.arrived(now_s)
+
+    def at_host(self, now_s: float) -> bytes:
+        return self.to_host.arrived(now_s)
