@@ -8,7 +8,6 @@ from itertools import count
 import pytest
 
 from controller.cli import port as port_commands
-from controller.firmware.core_device import CoreDevice
 from controller.host.connection import Connection, UnpluggedError
 from controller.host.driver import Device
 from controller.host.session import Session
@@ -19,6 +18,7 @@ from controller.sim.simulator import Simulator
 from controller.sim.true_device import device_of
 from controller.waveforms.prediction import scene_of
 from tests.benches.device import started, tokens
+from tests.benches.probed import ProbedDevice
 from tests.benches.virtual_link import Link
 from transopt.library.library import Library
 from transopt.recordings.settings import SimulatedTaps
@@ -173,7 +173,7 @@ class Desk(Cable):
             "tap": lambda: self.hand.tap(self.now_s(), 0.2),
         }
 
-    def _started(self) -> CoreDevice:
+    def _started(self) -> ProbedDevice:
         return started(next(self._boots), self._hardware, self._samples, simulated=self._simulated)
 
     def _press(self, pressed: bool) -> None:

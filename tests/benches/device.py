@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from controller.firmware.build import NoCompilerError, build, compiler
-from controller.firmware.core_device import CoreDevice
 from controller.protocol import messages as m
 from controller.protocol.capacity import Hardware
 from controller.protocol.codes import REASONS, Reason
@@ -22,6 +21,7 @@ from controller.protocol.wire import DELIMITER, Decoder, decode, encode
 from controller.servo.interface import Output, Readings, State
 from controller.servo.settings import Settings
 from tests.benches.compiled import smooth_bank
+from tests.benches.probed import ProbedDevice
 from tests.benches.rehearsal import Rehearsal
 from tests.benches.servo import AMPLIFIER, DT_S
 from tests.benches.virtual_link import Trouble
@@ -73,7 +73,7 @@ def checked(name: str, files: list[Path], flags: tuple[str, ...] = ()) -> Path:
 
 def started(
     boot: int, hardware: Hardware | None = None, samples: int | None = None, *, simulated: bool = True
-) -> CoreDevice:
+) -> ProbedDevice:
     """The device as it is after power on.
 
     Parameters
@@ -82,7 +82,7 @@ def started(
     """
     need_compiler()
     flags = () if samples is None else (f"-DTD_MAX_LIBRARY_SAMPLES={samples}",)
-    return CoreDevice(boot, hardware, flags, simulated=simulated)
+    return ProbedDevice(boot, hardware, flags, simulated=simulated)
 
 
 def reframed(data: bytes, change: Callable[[bytes], bytes]) -> bytes:
@@ -92,7 +92,7 @@ def reframed(data: bytes, change: Callable[[bytes], bytes]) -> bytes:
     return b"".join(encode(payload) for payload in changed if payload)
 
 
-class World(Rehearsal[CoreDevice]):
+class World(Rehearsal[ProbedDevice]):
     """The compiled device rehearses, its stylus in a hand 5 mm above the surface unless `readings` say otherwise."""
 
     def __init__(
@@ -127,7 +127,7 @@ ARM = m.Arm(0, 200, 1.0, *HASHES)
 class Talker:
     """A device and whoever speaks to it, frame by frame."""
 
-    def __init__(self, device: CoreDevice | None = None) -> None:
+    def __init__(self, device: ProbedDevice | None = None) -> None:
         self.device = started(7) if device is None else device
         self.decoder, self.sequence, self.tick = Decoder(), 1, 0
         self.put(m.Hello(m.MAGIC, m.PROTOCOL, 5))

@@ -1,10 +1,10 @@
 """A port with a line of a stated rate and an adapter that keeps what it has for a while, in virtual time."""
 
-from controller.firmware.core_device import CoreDevice
 from controller.host.connection import Connection
 from controller.host.driver import Device
 from controller.protocol.wire import DELIMITER
 from controller.sim.port import SimulatedPort, World
+from tests.benches.probed import ProbedDevice
 from tests.benches.virtual_link import Link, Trouble
 
 UART_BITS, DRIVER_BYTES = 10, 4096
@@ -20,7 +20,7 @@ class SlowLine(SimulatedPort):
 
     name, harmless = "slow line", False
 
-    def __init__(self, core: CoreDevice, world: World, dt_s: float, baud: float, latency_s: float = 16e-3) -> None:
+    def __init__(self, core: ProbedDevice, world: World, dt_s: float, baud: float, latency_s: float = 16e-3) -> None:
         self.link = Link(Trouble(latency_s=latency_s))
         super().__init__(core, world, dt_s, line=self.link)
         self._core, self._rate_B, self._credit_B = core, baud / UART_BITS * dt_s, 0.0

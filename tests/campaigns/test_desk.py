@@ -27,13 +27,13 @@ from controller.cli import play
 from controller.cli import port as port_commands
 from controller.device.device_file import Accelerometer, DeviceFile, Encoder, Grip
 from controller.device.reading import write_device
-from controller.firmware.core_device import CoreDevice
 from controller.host.connection import Connection
 from controller.host.driver import Device
 from controller.servo.interface import Output, State
 from controller.sim.port import SimulatedPort
 from controller.waveforms.prediction import predict
 from tests.benches.own_device import OwnWorld, Sensing
+from tests.benches.probed import ProbedDevice
 from tests.campaigns.harness import JsonFile, LibraryFile, Seed, library_of, long_form, show, write_json
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
@@ -152,7 +152,7 @@ def _run(library: Path, folder: Path, seed: int) -> None:
     write_device(device, DESK)
     where = ("--port", "desk", "--device", device)
     tap = ("transopt-play", "tap", library, *where, "--taps")
-    with at_the_desk(world, Desk(CoreDevice(1, simulated=False), world, DT_S).connect):
+    with at_the_desk(world, Desk(ProbedDevice(1, simulated=False), world, DT_S).connect):
         typed("transopt-play", "check", library, *where, "--patience", 3)
         world.planned, world.free_s = iter((0.2,)), 0.0
         typed(*tap, 1, "--gain", 0.1)

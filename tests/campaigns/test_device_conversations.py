@@ -21,7 +21,7 @@ from typing import Annotated
 
 from typer import Option
 
-from controller.firmware.core_device import CoreDevice, DeviceEnd
+from controller.firmware.core_device import DeviceEnd
 from controller.host.session_states import SessionState
 from controller.protocol import messages as m
 from controller.protocol.codes import EVENTS, REASONS, Kind
@@ -29,6 +29,7 @@ from controller.protocol.configuration import configuration_of
 from controller.protocol.image import image_of
 from controller.protocol.wire import Decoder, encode
 from tests.benches.compiled import DT_S, SETTINGS, TAIL, cooled, smooth_bank
+from tests.benches.probed import ProbedDevice
 from tests.benches.rehearsal import Rehearsal
 from tests.benches.virtual_link import Trouble
 from tests.campaigns.conversations import conversation
@@ -58,9 +59,9 @@ BAD_LINE = Trouble(latency_s=2e-3, jitter_s=2e-3, loss=0.1, corruption=0.1, repe
 Start = Callable[[int], DeviceEnd]
 
 
-def vouched(boot: int) -> CoreDevice:
+def vouched(boot: int) -> ProbedDevice:
     """The compiled core, of which nothing is wired wrong because nothing is wired."""
-    return CoreDevice(boot, simulated=True)
+    return ProbedDevice(boot, simulated=True)
 
 
 class Table(Rehearsal[Overheard]):

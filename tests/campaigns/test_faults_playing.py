@@ -25,13 +25,13 @@ import pytest
 from typer import Option
 
 from controller.device.device_file import Accelerometer, DeviceFile
-from controller.firmware.core_device import CoreDevice
 from controller.host.payload import Payload, payload_of
 from controller.protocol import messages as m
 from controller.protocol.image import sha256
 from controller.servo.interface import Fault, Notice, Output, Readings, State
 from tests.benches.device import Talker
 from tests.benches.own_device import Z1, OwnWorld, Truth, Wires
+from tests.benches.probed import ProbedDevice
 from tests.campaigns.harness import JsonFile, LibraryFile, Seed, at_least, library_of, long_form, show, write_json
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.library.library import Library
@@ -158,7 +158,7 @@ AFTER_TICKS = 100  # for so long the readings after a fault are looked at, so th
 
 def tapped(given: Payload, world: Broken, speed_m_s: float, single: bool) -> Seen:
     """One tap of this world, and how the device took it."""
-    talker = Talker(CoreDevice(1, flags=FLAGS[single], simulated=True))
+    talker = Talker(ProbedDevice(1, flags=FLAGS[single], simulated=True))
     assert isinstance(talker.configure(given.configuration), m.Done)
     talker.loaded(given.image)
     amplifier = given.settings.amplifier

@@ -27,12 +27,12 @@ from typer import Option
 
 from controller.device.circuit_file import load_circuit
 from controller.device.reading import read_device
-from controller.firmware.core_device import CoreDevice
 from controller.host.connection import Connection
 from controller.host.driver import Device
 from controller.host.kept import remember_pulse
 from controller.servo.interface import Output, State
 from tests.benches.own_device import ABOVE_M, OwnWorld, Sensing, Truth, eased
+from tests.benches.probed import ProbedDevice
 from tests.campaigns.harness import JsonFile, Seed, long_form, show, words_of, write_json
 from tests.campaigns.test_desk import DT_S, ROW, Desk, at_the_desk, typed
 from transopt.design.build import build_library
@@ -169,7 +169,7 @@ def opened(world: World) -> Callable[[str | Connection], Device]:
 
     def connect(port: str | Connection) -> Device:
         if not found:
-            core = CoreDevice(1, load_circuit(Path("circuit.toml"))[0].hardware)
+            core = ProbedDevice(1, load_circuit(Path("circuit.toml"))[0].hardware)
             found.append(Desk(core, world, DT_S))
         return found[0].connect(port)
 

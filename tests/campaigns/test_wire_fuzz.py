@@ -19,14 +19,14 @@ from typing import Annotated
 
 from typer import Option
 
-from controller.firmware.core_device import CoreDevice
-from controller.firmware.core_device import Decoder as CoreDecoder
 from controller.host.session import Session
 from controller.host.session_states import OVER
 from controller.protocol import messages as m
 from controller.protocol.codes import Kind
 from controller.protocol.wire import DELIMITER, PAYLOAD_LIMIT, Decoder, encode
 from controller.servo.interface import Readings
+from tests.benches.probed import Decoder as CoreDecoder
+from tests.benches.probed import ProbedDevice
 from tests.campaigns.harness import Seed, at_least, long_form
 
 Damage = Callable[[bytes, bytes, random.Random], bytes]
@@ -140,7 +140,7 @@ class Ends:
 
     def __init__(self) -> None:
         sessions = cycle((1, 2))
-        self.device, self.session = CoreDevice(1, simulated=True), Session(lambda: next(sessions))
+        self.device, self.session = ProbedDevice(1, simulated=True), Session(lambda: next(sessions))
         self.tick = self.greetings = self.driven = 0
         self._greet()
 

@@ -21,13 +21,13 @@ import numpy as np
 import pytest
 
 from controller.device.device_file import Accelerometer, DeviceFile
-from controller.firmware.core_device import CoreDevice
 from controller.host.bringup import drop_evidence, passed, run_steps
 from controller.host.check_state import Check
 from controller.host.driver import Device, DeviceError
 from controller.host.payload import payload_of
 from controller.sim.port import SimulatedPort
 from tests.benches.own_device import OwnWorld, Sensing, Truth, Wires
+from tests.benches.probed import ProbedDevice
 from tests.campaigns import test_desk as desk
 from tests.campaigns.harness import Jobs, JsonFile, LibraryFile, Seed, each, library_of, long_form, show, write_json
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
@@ -164,7 +164,7 @@ def judged(library: Library, case: Case) -> Outcome:
         DT_S, truth=case.truth, wires=case.wires, sensing=Sensing(gravity_m_s2=gravity), seed=case.seed + 17
     )
     given = payload_of(library, device=described)
-    with Device(Port(CoreDevice(1, simulated=False), world, DT_S)) as device:
+    with Device(Port(ProbedDevice(1, simulated=False), world, DT_S)) as device:
         device.configure(given.configuration)
         device.upload(given.image)
         device.set_telemetry(1)

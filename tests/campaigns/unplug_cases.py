@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-from controller.firmware.core_device import CoreDevice
 from controller.host.session_states import OPEN
 from controller.protocol import messages as m
 from controller.protocol.codes import Kind
@@ -24,6 +23,7 @@ from controller.record.recorder import Recorder
 from controller.record.telemetry import CSV_NAME, read_csv
 from controller.servo.interface import Fault, Output, Readings, State
 from tests.benches.compiled import DT_S, SETTINGS, TAIL, smooth_bank
+from tests.benches.probed import ProbedDevice
 from tests.benches.rehearsal import NotWithinError, Rehearsal
 from tests.benches.virtual_link import Trouble
 
@@ -96,7 +96,7 @@ class Judged:
     """
 
     def __init__(self, boot: int, hand: TappingHand) -> None:
-        self._core, self._hand = CoreDevice(boot, simulated=True), hand
+        self._core, self._hand = ProbedDevice(boot, simulated=True), hand
         self._decoder, self._session, self._last, self._tick = Decoder(), 0, 0, 0
         self.state = State.IDLE
         self.breaches: list[str] = []

@@ -8,12 +8,12 @@ import pytest
 from controller.cli import doctor as module
 from controller.cli import port as port_commands
 from controller.firmware.build import NoCompilerError
-from controller.firmware.core_device import CoreDevice
 from controller.host.rates import BAUDS, remedy
 from controller.host.transport import Listed
 from tests.benches.commands import Run
 from tests.benches.desk import PORT, Desk
 from tests.benches.own_device import OwnWorld
+from tests.benches.probed import ProbedDevice
 from tests.benches.slow_line import SlowLine
 from transopt.base.errors import InputError
 
@@ -109,7 +109,7 @@ def test_a_line_is_told_by_what_it_carries(
 ) -> None:
     """Behind an adapter of 16 ms; 3.7 Mbaud carry every tick of 100 us."""
     ports.append(Listed("/dev/null", ""))
-    line = SlowLine(CoreDevice(1, simulated=False), OwnWorld(DT_S), DT_S, baud)
+    line = SlowLine(ProbedDevice(1, simulated=False), OwnWorld(DT_S), DT_S, baud)
     monkeypatch.setattr(port_commands, "open_device", line.connect)
     outcome = play("doctor", "--port", "x")
     (said,) = lines(outcome.out, "line")
@@ -125,7 +125,7 @@ def test_the_check_looks_at_as_many_records_as_its_line_carries(
     play: Run, monkeypatch: pytest.MonkeyPatch, baud: int, code: int
 ) -> None:
     world = OwnWorld(DT_S)
-    line = SlowLine(CoreDevice(1, simulated=False), world, DT_S, baud)
+    line = SlowLine(ProbedDevice(1, simulated=False), world, DT_S, baud)
     monkeypatch.setattr(port_commands, "open_device", line.connect)
     monkeypatch.setattr(port_commands, "ConsolePerson", lambda: world)
     outcome = play("check", "--port", "x", "--step", "link")

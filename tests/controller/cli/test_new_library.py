@@ -7,13 +7,13 @@ from rich.console import Console
 
 from controller.cli.port import _try_out
 from controller.device.device_file import Accelerometer, DeviceFile
-from controller.firmware.core_device import CoreDevice
 from controller.host.driver import Device, DeviceError
 from controller.host.payload import payload_of
 from controller.protocol.image import bank_of, image_of
 from controller.servo.interface import Output, State
 from controller.sim.port import SimulatedPort
 from tests.benches.own_device import OwnWorld
+from tests.benches.probed import ProbedDevice
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.library.library import Library
 
@@ -44,7 +44,7 @@ def test_a_new_library_is_tapped_once_at_a_tenth(library: Library, c_compiler: N
     table, head = bank_of(given.image)
     weaker = replace(table, command_A=0.9 * table.command_A)
     other = image_of(weaker, settings.dt_s, settings.lead_s, head["tail_samples"], amplifier=settings.amplifier)
-    with Device(Port(CoreDevice(1, simulated=False), world, settings.dt_s)) as device:
+    with Device(Port(ProbedDevice(1, simulated=False), world, settings.dt_s)) as device:
         device.configure(given.configuration)
         device.upload(given.image)
         assert not device.lacks_trial()  # without sound pulses a trial is not what is missing

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from controller.cli import port as port_commands
-from controller.firmware.core_device import CoreDevice
 from controller.host.driver import Device
 from controller.record.telemetry import read_csv
 from controller.servo.interface import Fault, Output, Readings, State
 from tests.benches.commands import Outcome, Run
 from tests.benches.own_device import OwnWorld, Sensing
+from tests.benches.probed import ProbedDevice
 from tests.benches.slow_line import SlowLine
 from tests.campaigns.harness import solved
 
@@ -28,7 +28,7 @@ def recorded(
     play: Run, monkeypatch: pytest.MonkeyPatch, baud: int, seconds: float, flags: tuple[str, ...] = ()
 ) -> Outcome:
     world = OwnWorld(DT_S)
-    line = SlowLine(CoreDevice(1, flags=flags, simulated=True), world, DT_S, baud)
+    line = SlowLine(ProbedDevice(1, flags=flags, simulated=True), world, DT_S, baud)
     monkeypatch.setattr(port_commands, "open_device", line.connect)
     monkeypatch.setattr(port_commands, "ConsolePerson", lambda: world)
     options = ("--low", 50, "--high", 500, "--amplitude", 0.3, "--trials", 1, "--seconds", seconds)
@@ -76,7 +76,7 @@ def test_what_is_not_kept_is_refused_with_a_rate_and_with_a_sweep_that_is(
 def test_a_check_at_115200_baud_passes_every_step(play: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """The device has as little room as an Arduino board."""
     world = OwnWorld(DT_S, sensing=Sensing(gravity_m_s2=0.0))
-    line = SlowLine(CoreDevice(1, flags=ARDUINO, simulated=False), world, DT_S, 115_200)
+    line = SlowLine(ProbedDevice(1, flags=ARDUINO, simulated=False), world, DT_S, 115_200)
     monkeypatch.setattr(port_commands, "open_device", line.connect)
     monkeypatch.setattr(port_commands, "ConsolePerson", lambda: world)
     outcome = play("check", "library.npz", "--port", "x")
@@ -111,7 +111,7 @@ class Tapping(OwnWorld):
 
 
 def at_line(monkeypatch: pytest.MonkeyPatch, world: OwnWorld, baud: int, flags: tuple[str, ...] = ()) -> None:
-    line = SlowLine(CoreDevice(1, flags=flags, simulated=True), world, DT_S, baud)
+    line = SlowLine(ProbedDevice(1, flags=flags, simulated=True), world, DT_S, baud)
     monkeypatch.setattr(port_commands, "open_device", line.connect)
     monkeypatch.setattr(port_commands, "ConsolePerson", lambda: world)
 

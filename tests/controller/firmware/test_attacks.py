@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.firmware.core_device import CoreDevice
 from controller.protocol import messages as m
 from controller.protocol.capacity import REST_BETWEEN_PULSES_S, Hardware
 from controller.protocol.codes import EVENT_CODES, EVENTS, Kind, Reason, Stage
@@ -20,6 +19,7 @@ from controller.servo.interface import Fault, Output, Readings, State
 from controller.servo.settings import Settings
 from tests.benches.compiled import DT_S, smooth_bank
 from tests.benches.device import IMAGE, ONE_WAVEFORM, REST, SETTINGS, Talker
+from tests.benches.probed import ProbedDevice
 from tests.benches.servo import AMPLIFIER
 from transopt.plant.coil import CoilModel
 from transopt.plant.wall import Wall
@@ -50,13 +50,13 @@ WATCHED = replace(
     SETTINGS, pulse_ticks=PULSE_TICKS, pulse_grip_N=(3.0,), pulse_acceleration=(PUSH,), pulse_path_m=(PATH_M,)
 )
 EXCITED = replace(SETTINGS, host_starts=True)
-Start = Callable[..., CoreDevice]
+Start = Callable[..., ProbedDevice]
 
 
 @pytest.fixture(params=[(), ("-DTD_REAL_FLOAT",)], ids=["double", "single"])
 def start(request: pytest.FixtureRequest) -> Start:
-    def started(*, hardware: Hardware = HARDWARE, simulated: bool = True, **others: Any) -> CoreDevice:
-        return CoreDevice(9, hardware, request.param, simulated=simulated, **others)
+    def started(*, hardware: Hardware = HARDWARE, simulated: bool = True, **others: Any) -> ProbedDevice:
+        return ProbedDevice(9, hardware, request.param, simulated=simulated, **others)
 
     return started
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from controller.firmware.core_device import CoreDevice
 from controller.protocol import messages as m
 from controller.protocol.codes import REASONS, Reason
 from controller.protocol.configuration import HEADER, NAMES, configuration_of
@@ -20,6 +19,7 @@ from controller.servo.interface import Readings
 from controller.servo.settings import Settings
 from tests.benches.compiled import DT_S, TAIL, smooth_bank
 from tests.benches.device import REST, Talker
+from tests.benches.probed import ProbedDevice
 from tests.benches.servo import AMPLIFIER, WALL
 from tests.campaigns.conversations import NUMBERS
 from transopt.plant.coil import CoilModel
@@ -270,7 +270,7 @@ def device() -> Talker:
 
 
 def test_the_core_outlives_a_host_that_asks_and_never_listens() -> None:
-    core, decoder = CoreDevice(1, simulated=True), Decoder()
+    core, decoder = ProbedDevice(1, simulated=True), Decoder()
     for session in range(1000):
         core.receive(encode(m.Frame(1, session, m.Hello(m.MAGIC, m.PROTOCOL, 0)).payload()))
     assert core.look().lost_frames > 100

@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 
 from controller.firmware import core_device
 from controller.firmware.build import CORE, NoCompilerError, sources
-from controller.firmware.core_device import REPLAY, CoreDevice, Decoder, crc32, encode, sha256
+from controller.firmware.core_device import REPLAY
 from controller.protocol import wire
 from controller.servo.interface import State
 from tests.benches.device import World, clean_answers
+from tests.benches.probed import Decoder, ProbedDevice, crc32, encode, sha256
 from tests.campaigns.recorded import BOOT, Conversation, load, save
 from tests.campaigns.test_device_conversations import SCENES, VECTORS, random_talk, said, scene, taps, vouched
 from tests.campaigns.test_wire_fuzz import fuzz
@@ -27,7 +28,7 @@ RECORDED = load(VECTORS)
 @pytest.mark.parametrize("conversation", RECORDED, ids=lambda one: one.name)
 def test_the_device_says_and_does_what_was_recorded(conversation: Conversation) -> None:
     """Every byte and every command, as `tests/campaigns/test_device_conversations.py` has recorded them."""
-    assert conversation.differs(CoreDevice(BOOT, simulated=True)) == ""
+    assert conversation.differs(ProbedDevice(BOOT, simulated=True)) == ""
 
 
 def test_much_is_said_in_these_conversations() -> None:
@@ -44,12 +45,12 @@ def test_much_is_said_in_these_conversations() -> None:
 def test_a_difference_would_be_seen() -> None:
     """A device of another start differs in its first answer, and the last bit of one command is seen."""
     (recorded,) = (one for one in RECORDED if one.name == taps.__name__)
-    assert "tick 1: said" in recorded.differs(CoreDevice(BOOT + 1, simulated=True))
+    assert "tick 1: said" in recorded.differs(ProbedDevice(BOOT + 1, simulated=True))
     ticks = recorded.ticks.copy()
     playing = np.flatnonzero(ticks["state"] == b"playing")
     ticks["command_A"][playing[5]] = np.nextafter(ticks["command_A"][playing[5]], 9.0)
     changed = Conversation("changed", ticks, recorded.arrived, recorded.said)
-    assert f"changed, tick {playing[5]}: Output" in changed.differs(CoreDevice(BOOT, simulated=True))
+    assert f"changed, tick {playing[5]}: Output" in changed.differs(ProbedDevice(BOOT, simulated=True))
 
 
 def test_what_is_recorded_anew_is_kept_whole(tmp_path: Path) -> None:
@@ -58,7 +59,7 @@ def test_what_is_recorded_anew_is_kept_whole(tmp_path: Path) -> None:
     for one, kept in zip(made, load(tmp_path / "made.npz"), strict=True):
         assert (one.name, one.arrived, one.said) == (kept.name, kept.arrived, kept.said)
         assert one.ticks.tobytes() == kept.ticks.tobytes()
-        assert kept.differs(CoreDevice(BOOT, simulated=True)) == ""
+        assert kept.differs(ProbedDevice(BOOT, simulated=True)) == ""
 
 
 def test_corrupted_frames_are_neither_accepted_nor_seen_differently() -> None:
@@ -110,7 +111,7 @@ def test_sanitizers_find_nothing(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("flags", "real_bytes"), [((), 8), (("-DTD_REAL_FLOAT",), 4)], ids=["double", "single"])
 def test_the_host_session_brings_the_core_up_and_arms_it(flags: tuple[str, ...], real_bytes: int) -> None:
     """And the core goes safe within its lease when the host falls silent."""
-    world, core = World(), CoreDevice(100, flags=flags, simulated=True)
+    world, core = World(), ProbedDevice(100, flags=flags, simulated=True)
     world.device = core  # type: ignore[assignment]
     world.armed()
     assert world.session.device is not None
@@ -128,8 +129,8 @@ def test_without_a_compiler_the_core_that_was_installed_runs(monkeypatch: pytest
     monkeypatch.setenv("CC", "no-such-compiler")
     core_device.core_library.cache_clear()
     try:
-        assert CoreDevice(BOOT).look().boot == BOOT
+        assert ProbedDevice(BOOT).look().boot == BOOT
         with pytest.raises(NoCompilerError, match="no-such-compiler"):
-            CoreDevice(BOOT, flags=("-DTD_MAX_LIBRARY_SAMPLES=300001",))
+            ProbedDevice(BOOT, flags=("-DTD_MAX_LIBRARY_SAMPLES=300001",))
     finally:
         core_device.core_library.cache_clear()

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.firmware.core_device import CoreDevice
 from controller.protocol import messages as m
 from controller.protocol.capacity import PULSE_LEASE_MS, PULSE_LEAST_PART, REST_BETWEEN_PULSES_S
 from controller.protocol.codes import EVENTS, LinkNotice, Reason
@@ -15,6 +14,7 @@ from controller.protocol.configuration import configuration_of
 from controller.servo.settings import Settings
 from tests.benches.compiled import DT_S
 from tests.benches.device import Talker
+from tests.benches.probed import ProbedDevice
 from tests.benches.servo import AMPLIFIER
 from tests.controller.firmware.test_attacks import HARDWARE, PULSE_TICKS, WATCHED, Plant, evidence
 
@@ -22,13 +22,13 @@ pytestmark = pytest.mark.usefixtures("c_compiler")
 
 REST_TICKS = round(REST_BETWEEN_PULSES_S / DT_S)
 PAIR_TICKS = 2 * (REST_TICKS + PULSE_TICKS + 1)
-Start = Callable[..., CoreDevice]
+Start = Callable[..., ProbedDevice]
 
 
 @pytest.fixture(params=[(), ("-DTD_REAL_FLOAT",)], ids=["double", "single"])
 def start(request: pytest.FixtureRequest) -> Start:
-    def started(**others: Any) -> CoreDevice:
-        return CoreDevice(9, HARDWARE, request.param, **{"simulated": False, **others})
+    def started(**others: Any) -> ProbedDevice:
+        return ProbedDevice(9, HARDWARE, request.param, **{"simulated": False, **others})
 
     return started
 
@@ -84,7 +84,7 @@ def test_pulses_end_with_the_lease_though_the_host_goes_on_talking(start: Start,
 def test_a_single_pulse_of_a_host_that_has_gone_ends_with_its_lease(start: Start) -> None:
     """However long a port lets pulses be, they do not outlive the lease."""
     long_ticks = round(2e-3 * PULSE_LEASE_MS / DT_S)
-    talker = Talker(CoreDevice(9, replace(HARDWARE, pulse_s=long_ticks * DT_S), (), simulated=False))
+    talker = Talker(ProbedDevice(9, replace(HARDWARE, pulse_s=long_ticks * DT_S), (), simulated=False))
     talker.configured(configuration_of(WATCHED))
     talker.done(m.Pulse(0.05, long_ticks, 0))
     commands = [talker.step(1).command_A for _ in range(long_ticks)]

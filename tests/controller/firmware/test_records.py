@@ -6,13 +6,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from controller.firmware.core_device import CoreDevice
 from controller.protocol import messages as m
 from controller.protocol.image import HEADER, sha256
 from controller.protocol.messages import RECORDS_LIMIT, Record
 from controller.protocol.packed import Packed
 from controller.servo.interface import State
 from tests.benches.device import ARM, EXCITED, IMAGE, ONE_WAVEFORM, REST, Talker, image
+from tests.benches.probed import ProbedDevice
 
 pytestmark = pytest.mark.usefixtures("c_compiler")
 OWN, LIBRARY_SAMPLES, SPEEDS, GRIPS = 64, 4000, 4, 4
@@ -31,7 +31,7 @@ PRECISIONS = {"double": (), "single": ("-DTD_REAL_FLOAT",)}
 @pytest.fixture(params=PRECISIONS)
 def bench(request: pytest.FixtureRequest) -> Talker:
     """A small device with a library, of each precision."""
-    device = CoreDevice(7, flags=(*SMALL, *PRECISIONS[request.param]), simulated=True)
+    device = ProbedDevice(7, flags=(*SMALL, *PRECISIONS[request.param]), simulated=True)
     return Talker(device).ready()
 
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-from controller.firmware.core_device import CoreDevice
 from controller.protocol import messages as m
 from controller.protocol.codes import Reason, Stage
 from controller.protocol.configuration import configuration_of
@@ -16,18 +15,19 @@ from controller.servo.interface import Output, Readings, State
 from controller.servo.settings import Settings
 from tests.benches.compiled import DT_S, smooth_bank
 from tests.benches.device import IMAGE, SETTINGS, Talker
+from tests.benches.probed import ProbedDevice
 from tests.controller.firmware.test_attacks import HARDWARE, PULSE_TICKS, WATCHED, Plant, arm, evidence, pulsed
 
 pytestmark = pytest.mark.usefixtures("c_compiler")
 
 BLIND = replace(WATCHED, has_accelerometer=False)  # a device without accelerometer
-Start = Callable[..., CoreDevice]
+Start = Callable[..., ProbedDevice]
 
 
 @pytest.fixture(params=[(), ("-DTD_REAL_FLOAT",)], ids=["double", "single"])
 def start(request: pytest.FixtureRequest) -> Start:
-    def started(**others: Any) -> CoreDevice:
-        return CoreDevice(9, HARDWARE, request.param, **others)
+    def started(**others: Any) -> ProbedDevice:
+        return ProbedDevice(9, HARDWARE, request.param, **others)
 
     return started
 

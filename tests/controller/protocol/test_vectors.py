@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from controller.firmware.core_device import Decoder as CoreDecoder
-from controller.firmware.core_device import encode as core_encode
 from controller.protocol import messages as m
 from controller.protocol.codes import Kind
 from controller.protocol.requests_table import REQUESTS
 from controller.protocol.wire import Decoder, encode
+from tests.benches.probed import Decoder as CoreDecoder
+from tests.benches.probed import encode as core_encode
 
 DOCS = Path(__file__).parents[3] / "docs"
 VECTORS = DOCS / "reference" / "protocol_vectors.json"
