@@ -152,32 +152,3 @@ class Telemetry:
         with whole_file(self._folder / NPZ_NAME) as file:
             np.savez(file, **columns)  # type: ignore[arg-type]
         self._stored = self._records
-
-
-def read_csv(path: Path) -> dict[str, NDArray[Any]]:
-    """Columns of a telemetry CSV, even of a running or killed run: an incomplete last line is left out.
-
-    Raises
-    ------
-    InputError : the file is not a telemetry file.
-    """
-    try:
-        text = path.read_bytes().decode("ascii")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give a {CSV_NAME}") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not a text file; give a {CSV_NAME}") from None
-    head, *lines = text[: text.rfind("\n") + 1].splitlines() or [""]
-    if head != ",".join(COLUMNS):
-        raise InputError(f"{path}: the first line does not name the columns of telemetry; give a {CSV_NAME}")
-    try:
-        rows = [line.split(",") for line in lines]
-        if any(len(row) != len(COLUMNS) for row in rows):
-            raise ValueError("a line of another length")
-        by_column = list(zip(*rows, strict=True)) or [()] * len(COLUMNS)
-        return {
-            name: np.array(values, dtype=np.str_ if KINDS.get(name, "S")[0] == "S" else KINDS[name])
-            for name, values in zip(COLUMNS, by_column, strict=True)
-        }
-    except ValueError as error:
-        raise InputError(f"{path}: damaged ({error}); give a {CSV_NAME} as it was written") from None

@@ -11,7 +11,6 @@ from transopt.base.writing import rounded_up
 from transopt.library.library import Library
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel
-from transopt.plant.discretise import split_delay
 from transopt.plant.wall import Wall
 from transopt.problem.limits.slew import SlewLimit
 from transopt.problem.warm_coil import LEAST_SCALE, WITHHOLD_K
@@ -231,11 +230,6 @@ class Settings:
     @property
     def delay_s(self) -> float:
         return 0.0 if self.amplifier is None else self.amplifier.delay_s
-
-    @property
-    def late_ticks(self) -> int:
-        """Whole servo periods of the amplifier's delay."""
-        return split_delay(self.delay_s, self.dt_s)[0]
 
     @property
     def pulse_skip_ticks(self) -> int:

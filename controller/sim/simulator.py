@@ -248,15 +248,6 @@ class Simulator:
             raise ValueError("this simulator keeps no trace: make it with trace=True")
         return Trace(*np.array(self._rows).T)
 
-    def energy_J(self) -> float:
-        """Kinetic and elastic energy of the chain; with the intention at rest a passive device cannot gain any."""
-        masses, stiffness, _ = self.device.at(self._grip_N)
-        n = masses.size
-        z, v = self._x[:n], self._x[n : 2 * n]
-        elongation = z - np.append(z[1:], self._intention_m)
-        ground = self.device.ground.stiffness_N_m * z[0] ** 2
-        return float((masses @ v**2 + stiffness @ elongation**2 + ground) / 2)
-
     @property
     def state(self) -> FloatArray:
         """(S + U,) positions, velocities, current, accelerometer, object and inputs, see `true_device.Layout`."""

@@ -20,11 +20,12 @@ from controller.protocol.events import Ended, Happened, News, Samples
 from controller.protocol.image import image_of
 from controller.protocol.wire import Decoder
 from controller.record.recorder import Recorder
-from controller.record.telemetry import CSV_NAME, read_csv
+from controller.record.telemetry import CSV_NAME
 from controller.servo.interface import Fault, Output, Readings, State
 from tests.benches.compiled import DT_S, SETTINGS, TAIL, smooth_bank
 from tests.benches.probed import ProbedDevice
 from tests.benches.rehearsal import NotWithinError, Rehearsal
+from tests.benches.telemetry_file import read_csv
 from tests.benches.virtual_link import Trouble
 
 PHASES = {"connect": 8e-3, "configure": 0.015, "upload": 0.04, "check pending": 0.1, "armed": 0.15, "playing": 0.5}

@@ -26,6 +26,7 @@ from tests.benches.oracle.approach import Approach, Touch, Trigger
 from tests.benches.oracle.blend import Play, blend_at
 from tests.benches.oracle.faults import FAULTS, Watch
 from tests.benches.oracle.guard import Guard
+from transopt.plant.discretise import split_delay
 
 SATURATED_A = 1e-3  # a cut below this is rounding of the waveforms, not worth telling
 NOTHING: tuple[Event, ...] = ()
@@ -71,7 +72,8 @@ class Servo:
         self._decay = math.exp(-rate)
         # Decay in a tick of the fastest and the slowest amplifier that may be there.
         self._fast, self._slow = (math.exp(-rate * (1.0 + sign * s.amplifier_tolerance)) for sign in (1.0, -1.0))
-        self.awaited_A = deque([0.0] * (s.late_ticks + 1), maxlen=s.late_ticks + 1)
+        late_ticks, _ = split_delay(s.delay_s, s.dt_s)  # whole servo periods of the amplifier's delay
+        self.awaited_A = deque([0.0] * (late_ticks + 1), maxlen=late_ticks + 1)
         self._least_A = self._most_A = 0.0  # between these the current is at the coming switching instant
         # Coefficients of the feedback's prefilter (`plant.amplifier.prefilter_coefficients`).
         self._now, self._before = 1 / (1 - self._decay), -self._decay / (1 - self._decay)

@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 
 from controller.protocol.codes import Kind
-from controller.record.telemetry import read_csv
 from controller.servo.interface import Fault, State
 from controller.waveforms.prediction import scene_of
 from tests.benches.commands import Run, assert_refused
 from tests.benches.desk import PORT, Desk
+from tests.benches.telemetry_file import read_csv
 from tests.benches.virtual_link import Trouble
 from transopt.library.library import Library
 from transopt.recordings.recording import load_recording

@@ -9,12 +9,12 @@ import pytest
 
 from controller.cli import port as port_commands
 from controller.host.driver import Device
-from controller.record.telemetry import read_csv
 from controller.servo.interface import Fault, Output, Readings, State
 from tests.benches.commands import Outcome, Run
 from tests.benches.own_device import OwnWorld, Sensing
 from tests.benches.probed import ProbedDevice
 from tests.benches.slow_line import SlowLine
+from tests.benches.telemetry_file import read_csv
 from tests.campaigns.harness import solved
 
 pytestmark = pytest.mark.usefixtures("c_compiler")

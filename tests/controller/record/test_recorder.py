@@ -17,11 +17,11 @@ from controller.protocol.events import Changed, Happened, Logged, Samples
 from controller.protocol.messages import Record
 from controller.record.played import met_surface, played_tap, through_pole
 from controller.record.recorder import AFTER_S, BEFORE_S, Contact, Recorder
-from controller.record.telemetry import read_csv
 from controller.servo.interface import Fault, Notice, State
 from controller.servo.settings import Settings
 from controller.sim.sensors import SEED_SENSORS
 from controller.waveforms.prediction import predict
+from tests.benches.telemetry_file import read_csv
 from transopt.base.errors import InputError
 from transopt.library.library import Library
 from transopt.recordings.recording import load_recording

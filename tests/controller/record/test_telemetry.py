@@ -10,9 +10,10 @@ import pytest
 
 from controller.protocol.codes import STATES
 from controller.protocol.messages import Record
-from controller.record.telemetry import COLUMNS, CSV_NAME, NPZ_NAME, Telemetry, read_csv
+from controller.record.telemetry import COLUMNS, CSV_NAME, NPZ_NAME, Telemetry
 from controller.servo.interface import State
 from tests.benches.places import ROOT
+from tests.benches.telemetry_file import read_csv
 from transopt.base.errors import InputError
 
 DT = 1e-4
@@ -125,25 +126,6 @@ class TestRefusals:
         (tmp_path / "file").write_text("")
         with pytest.raises(InputError, match="cannot be written"):
             Telemetry(tmp_path / "file", DT)
-
-    @pytest.mark.parametrize(
-        ("content", "word"),
-        [
-            (b"time,z\n1,2\n", "first line"),
-            (b"", "first line"),
-            (b"\xff\xfe\n", "not a text file"),
-            (",".join(COLUMNS).encode() + b"\n1,2\n", "damaged"),
-        ],
-    )
-    def test_foreign_file(self, tmp_path: Path, content: bytes, word: str) -> None:
-        path = tmp_path / "x.csv"
-        path.write_bytes(content)
-        with pytest.raises(InputError, match=word):
-            read_csv(path)
-
-    def test_missing_file(self, tmp_path: Path) -> None:
-        with pytest.raises(InputError, match=r"No such file.*give a telemetry.csv"):
-            read_csv(tmp_path / "none.csv")
 
 
 @pytest.mark.parametrize("counts", [float("nan"), float("inf"), 2**70])

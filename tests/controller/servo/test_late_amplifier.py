@@ -89,4 +89,4 @@ def test_a_longer_delay_is_refused_with_a_period_at_which_it_is_not() -> None:
         stated(1e-4, DELAY_TICKS + 1)
     named = re.search(r"time\.dt_s of ([\d.e-]+) s", str(refused.value))
     dt_s = float(named[1])
-    assert stated(dt_s, 5e-4 / dt_s).late_ticks == DELAY_TICKS
+    assert stated(dt_s, 5e-4 / dt_s).delay_s == pytest.approx(DELAY_TICKS * dt_s)

@@ -13,7 +13,6 @@ from controller.host.driver import Device
 from controller.host.payload import payload_of
 from controller.record.played import PlayedTap, played_tap
 from controller.record.recorder import Contact, Recorder
-from controller.record.telemetry import read_csv
 from controller.servo.interface import Notice, State
 from controller.servo.settings import Settings
 from controller.sim.played_tap import play_tap
@@ -25,6 +24,7 @@ from controller.waveforms.bank import bank
 from controller.waveforms.prediction import scene_of
 from tests.benches.commands import Run, assert_refused
 from tests.benches.oracle.servo import Servo
+from tests.benches.telemetry_file import read_csv
 from transopt.base.errors import InputError
 from transopt.base.plotting import save_figure
 from transopt.library.library import Library
