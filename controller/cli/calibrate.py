@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from controller.cli.refine_taps import Hand
     from controller.device.reading import Described
     from controller.refine.new_hand import Tried
-    from controller.sim.simulator import Imperfections
     from transopt.base.tables import Table
     from transopt.identify.calibration import Calibration
     from transopt.library.library import Library
@@ -79,7 +78,6 @@ def calibrate(
     simulated = is_simulated(context, "calibrate", simulate, port)
     within("user", user, 0, USERS)
     within("for", seconds, 1.0, 1e6, " s")
-    wrong = imperfect(mismatch, seed, crossover)
     from controller.host.payload import load_playable
     from transopt.scene import builtin
     from transopt.scene.population import load_population
@@ -98,36 +96,22 @@ def calibrate(
             "in the device file (--device)"
         )
     drive_of(loaded.scene())
+    wrong = imperfect(found.device, mismatch, seed, crossover)
     terminal.make_folder(out)
     if simulated:
-        bench, hand = _simulated(loaded, hands, user, scene, wrong, seed, found)
+        from controller.cli.refine_taps import simulated_at
+        from controller.sim.chosen_device import device_in, scene_like
+
+        own = loaded.scene().striking() if scene is None else scene_like(scene)
+        if user:
+            own = own.in_hand(hands.drawn(USERS, USERS_SEED, loaded.grips_N.tolist())[user - 1])
+        bench, hand = simulated_at(loaded, device_in(own, wrong, seed), wrong, seed, found.device)
     else:
         from controller.cli.refine_taps import PersonsHand
 
         assert port is not None
         bench, hand = person_at(port), PersonsHand(terminal.console())
     _calibrate(loaded, library, bench, hand, found, hands, as_recorded, out, seconds, reset)
-
-
-def _simulated(
-    library: "Library",
-    hands: "Population",
-    user: int,
-    scene: str | None,
-    wrong: "Imperfections",
-    seed: int,
-    found: "Described",
-) -> "tuple[Bench, Hand]":
-    """The bench of a true device in the hand of a user of the population, mismatch of the drive included."""
-    from controller.cli.describe import sensing
-    from controller.cli.refine_taps import simulated_at
-    from controller.sim.chosen_device import device_in, scene_like
-
-    own = library.scene().striking() if scene is None else scene_like(scene)
-    if user:
-        own = own.in_hand(hands.drawn(USERS, USERS_SEED, library.grips_N.tolist())[user - 1])
-    wrong = sensing(found, wrong)
-    return simulated_at(library, device_in(own, wrong, seed), wrong, seed, found.device)
 
 
 def _calibrate(

@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from controller.cli.options import DeviceName
 from transopt.base import terminal
 from transopt.base.asking import answer
 from transopt.base.errors import InputError
 
 if TYPE_CHECKING:
     from controller.device.reading import Described
-    from controller.sim.simulator import Imperfections
 
 device_app = typer.Typer(
     no_args_is_help=True,
@@ -188,19 +186,3 @@ def described(named: str | None, library: Path | None = None, *, quiet: bool = F
     if found.stated or not quiet:
         terminal.console().print(found.in_words)
     return found
-
-
-def sensing(found: "Described", wrong: "Imperfections") -> "Imperfections":
-    """The sensors of a simulated device as its file describes them."""
-    from dataclasses import replace
-
-    device = found.device
-    sensors = replace(
-        wrong.sensors,
-        count_m=device.encoder.count_m,
-        accelerometer_bandwidth_Hz=device.accelerometer.bandwidth_Hz,
-    )
-    return replace(wrong, sensors=sensors)
-
-
-__all__ = ["DeviceName", "described", "device_app", "sensing"]

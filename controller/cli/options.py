@@ -11,6 +11,7 @@ from transopt.base.errors import InputError
 from transopt.base.nearest import did_you_mean
 
 if TYPE_CHECKING:
+    from controller.device.device_file import DeviceFile
     from controller.sim.simulator import Imperfections
 
 SIMULATED = "sim:"  # the name of the port, as `controller.sim.port` has it
@@ -126,19 +127,22 @@ def is_simulated(context: typer.Context, command: str, simulate: bool, port: str
     return simulated
 
 
-def imperfect(mismatch: float, seed: int, crossover: float) -> "Imperfections":
-    """From the options --mismatch, --seed and --crossover.
+def imperfect(device: "DeviceFile", mismatch: float, seed: int, crossover: float) -> "Imperfections":
+    """From the options --mismatch, --seed and --crossover, with the sensors as a device file describes them.
 
     Raises
     ------
     InputError : a number out of its range.
     """
+    from controller.sim.sensors import Sensors
     from controller.sim.simulator import Imperfections
 
     within("mismatch", mismatch, 0.0, 0.5, ", the part by which parameters are off")
     within("crossover", crossover, 0.0, 1.0, " A")
     within("seed", seed, 0, 2**63 - 1)
-    return Imperfections(mismatch=mismatch, crossover_A=crossover)
+    bandwidth_Hz = device.accelerometer.bandwidth_Hz
+    sensors = Sensors(count_m=device.encoder.count_m, accelerometer_bandwidth_Hz=bandwidth_Hz)
+    return Imperfections(mismatch=mismatch, crossover_A=crossover, sensors=sensors)
 
 
 def of_scene(named: str | None) -> str:

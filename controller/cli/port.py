@@ -283,14 +283,11 @@ def _try_out(device: "Device", console: "Console", seconds: float | None) -> Non
         if isinstance(news, Happened) and news.what is Notice.FINISHED:
             ended.append(True)
 
-    device.listeners.append(take)
-    try:
+    with device.heard_by(take):
         device.arm(TRIAL_GAIN, trial=True)
         listen(device, seconds, lambda: bool(ended), armed=True)
         if device.state is not State.FAULT:
             device.disarm()
-    finally:
-        device.listeners.remove(take)
 
 
 def _follow(drift: "Drift", device: "Device", recorder: "Recorder", console: "Console", file: Path | None) -> None:

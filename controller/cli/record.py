@@ -112,12 +112,12 @@ def record_sweep(
         within("tap-current", tap_current, 0.01, 100.0, " A")
     within("patience", patience, 0.1, 3600.0, " s")
     within("gain", gain, 1e-3, 1.0)
-    from controller.cli.describe import described, sensing
+    from controller.cli.describe import described
     from controller.cli.record_sweeps import Series, record_sweeps, simulated_series
 
     found = described(device, library, quiet=simulated)
     if simulated:
-        wrong = sensing(found, imperfect(mismatch, seed, crossover))
+        wrong = imperfect(found.device, mismatch, seed, crossover)
         bench, series = simulated_series(out, planned, scene, wrong, seed, gain, patience, found.device)
         record_sweeps(bench, series)
         return
@@ -201,15 +201,16 @@ def record_tap(
         return
     if real_object == (library is not None):
         raise InputError("record tap --simulate: name either a LIBRARY whose taps are played, or --object")
-    from controller.cli.describe import described, sensing
+    from controller.cli.describe import described
     from controller.cli.record_taps import Wanted, taps_of_library, taps_on_object
 
     within("repeats", repeats, 1, 1000)
     within("force-noise", force_noise, 0.0, 10.0, " N")
     chosen_grips = numbers("grips", grips, 0.0, 50.0, " N, what a hand does")
     chosen_speeds = numbers("speeds", speeds, 0.03, 4.5, " m/s, what the servo takes for a tap")
-    wrong, found = imperfect(mismatch, seed, crossover), described(device, library, quiet=True)
-    wanted = Wanted(out, chosen_speeds, chosen_grips, repeats, sensing(found, wrong), seed, found.device)
+    found = described(device, library, quiet=True)
+    wrong = imperfect(found.device, mismatch, seed, crossover)
+    wanted = Wanted(out, chosen_speeds, chosen_grips, repeats, wrong, seed, found.device)
     if library is None:
         taps_on_object(wanted, scene or DEFAULT_SCENE, trigger, force_noise)
     else:
@@ -250,7 +251,8 @@ def record_heat(
         within(name, value, 0.0, MOST_HEAT_S, " s")
     within("every", every, 0.01, 60.0, " s")
     within("noise", noise, 0.0, 50.0, " K")
-    imperfect(mismatch, seed, 0.0)
+    within("mismatch", mismatch, 0.0, 0.5, ", the part by which parameters are off")
+    within("seed", seed, 0, 2**63 - 1)
     if heating + cooling < 10 * every:
         raise InputError(f"--heating {heating:g}, --cooling {cooling:g}: fewer than ten readings; record longer")
     from controller.record.trial_file import refuse_old, write_measurement

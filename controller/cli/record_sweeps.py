@@ -98,8 +98,7 @@ def record_sweeps(bench: Bench, series: Series) -> None:
         )
         encoder = series.device.encoder
         shown = Monitor(bench.console, title, hello.dt_s, encoder.count_m, encoder.surface_counts)
-        with shown, no_long_pauses():
-            device.listeners.append(shown.take)
+        with shown, no_long_pauses(), device.heard_by(shown.take):
             try:
                 for alike, trials in itertools.groupby(planned, _alike):
                     load(device, loads[alike], bench.console)
@@ -132,8 +131,6 @@ def record_sweeps(bench: Bench, series: Series) -> None:
                 why = str(aborted)
             except LinkLostError as lost:
                 raise LinkLostError(f"{lost}; {out}: {len(written)} of {len(planned)} trials, all whole") from None
-            finally:
-                device.listeners.remove(shown.take)
     console.print(sweep_table(written, title))
     whole = len(written) == len(planned) and series.closing
     files = series.closing if whole else f"{out}: {len(written)} of {len(planned)} trials, all whole"

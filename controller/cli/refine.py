@@ -34,9 +34,6 @@ from transopt.base.errors import InputError
 from transopt.cli.layout import COLUMNS_HELP, RATE_HELP, UNITS_HELP
 
 if TYPE_CHECKING:
-    from controller.cli.bench import Bench
-    from controller.cli.refine_taps import Hand
-    from controller.device.device_file import DeviceFile
     from controller.refine.learner import Learner, Round
     from controller.refine.rounds import Refined
     from transopt.library.library import Library
@@ -108,7 +105,6 @@ def refine(
     within("rounds", rounds, 1, 20)
     within("taps", taps, 2, 100)
     within("for", seconds, 1.0, 1e6, " s")
-    wrong = imperfect(mismatch, seed, crossover)
     from controller.host.payload import load_playable
 
     loaded = load_playable(library)
@@ -120,10 +116,11 @@ def refine(
 
     if not from_files and loaded.tap_error.size * (taps - 1) < LEAST_DEGREES:
         raise InputError(f"--taps {taps}: at a single node at least 3 are needed, to know how they scatter")
-    terminal.make_folder(out)
-    from controller.cli.describe import described, sensing
+    from controller.cli.describe import described
 
     found = described(device, library, quiet=simulated)
+    wrong = imperfect(found.device, mismatch, seed, crossover)
+    terminal.make_folder(out)
     accelerometer_Hz = found.device.accelerometer.bandwidth_Hz
     if from_files:
         from controller.cli.refine_files import step
@@ -143,6 +140,8 @@ def refine(
             out,
         )
         return
+    from controller.cli.refine_taps import PersonsHand, Taps, simulated_at
+    from controller.refine import rounds as refinement
     from controller.refine.kept import is_learning
 
     if is_learning(loaded):
@@ -150,21 +149,21 @@ def refine(
             f"{library}: is between two steps of --from-files: go on with them, or refine what it came from"
         )
     if simulated:
-        from controller.cli.refine_taps import simulated_at
         from controller.sim.chosen_device import device_in, scene_like
         from controller.waveforms.prediction import scene_of
 
-        wrong = sensing(found, wrong)
         true = device_in(scene_of(loaded) if scene is None else scene_like(scene), wrong, seed)
         bench, hand = simulated_at(loaded, true, wrong, seed, found.device)
         source = f"simulator, {scene or loaded.meta['scene']['name']}, mismatch {mismatch:g}, seed {seed}"
     else:
-        from controller.cli.refine_taps import PersonsHand
-
         assert port is not None
         bench, hand, source = person_at(port), PersonsHand(terminal.console()), port
     stated = {**_stated(loaded, source, accelerometer_Hz), "taps": taps}
-    refined = _refined(loaded, bench, hand, found.device, out, rounds, taps, seconds, stated, reset)
+    from transopt.design.resolve import resolve
+
+    with connected(bench.port, reset) as opened, ended_in_words(), hand:
+        play = Taps(opened, bench, hand, found.device, out, taps, seconds)
+        refined = refinement.refine(loaded, play, resolve, rounds, stated, tell=tell_round)
     finish(refined, library, out)
 
 
@@ -205,27 +204,6 @@ def ended_in_words() -> Iterator[None]:
     except EndedError as ended:
         terminal.console().print(str(ended), style="red")
         raise typer.Exit(1) from None
-
-
-def _refined(
-    library: "Library",
-    bench: "Bench",
-    hand: "Hand",
-    described: "DeviceFile",
-    out: Path,
-    rounds: int,
-    taps: int,
-    seconds: float | None,
-    stated: dict[str, Any],
-    reset: bool,
-) -> "Refined":
-    from controller.cli.refine_taps import Taps
-    from controller.refine import rounds as refinement
-    from transopt.design.resolve import resolve
-
-    with connected(bench.port, reset) as device, ended_in_words(), hand:
-        play = Taps(device, bench, hand, described, out, taps, seconds)
-        return refinement.refine(library, play, resolve, rounds, stated, tell=tell_round)
 
 
 def finish(refined: "Refined", path: Path, out: Path) -> None:

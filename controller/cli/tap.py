@@ -79,15 +79,15 @@ def tap(
     within("gain", gain, 0.0, 1.0)
     within("taps", taps, 1, 1_000_000)
     within("for", seconds, 0.0, 1e9, " s")
-    from controller.cli.describe import described, sensing
+    from controller.cli.describe import described
     from controller.host.payload import payload
     from controller.record.recorder import make_room
 
     found = described(device, library, quiet=simulated)
     if simulated:
-        wrong, full = imperfect(mismatch, seed, crossover), 1.0 if gain is None else gain
+        wrong, full = imperfect(found.device, mismatch, seed, crossover), 1.0 if gain is None else gain
         given, bench, title = _simulated(
-            library, found, speed, grip, full, method, seed, sensing(found, wrong), true_device, user, real_time
+            library, found, speed, grip, full, method, seed, wrong, true_device, user, real_time
         )
     else:
         assert port is not None

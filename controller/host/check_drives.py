@@ -139,15 +139,11 @@ def trial_tap(check: Check) -> Verdict:
         return f"not held still above the surface within {check.patience_s:g} s", False
     begin = len(check.happened)
     recorder = Recorder(None, check.dt_s, s.count_m, s.surface_counts, around_s=AROUND_S)
-    with check.every_tick(check.ticks(AROUND_S[0])):
-        check.device.listeners.append(recorder.take)
-        try:
-            finished = _tapped(check, begin)
-            contact = check.came(Notice.CONTACT, begin)
-            if contact is not None:
-                check.catch_up(contact.tick + check.ticks(AROUND_S[1]))
-        finally:
-            check.device.listeners.remove(recorder.take)
+    with check.every_tick(check.ticks(AROUND_S[0])), check.device.heard_by(recorder.take):
+        finished = _tapped(check, begin)
+        contact = check.came(Notice.CONTACT, begin)
+        if contact is not None:
+            check.catch_up(contact.tick + check.ticks(AROUND_S[1]))
     if contact is None:
         seen = ", ".join(dict.fromkeys(event.what.value for event in check.happened[begin:]))
         return f"no contact within {check.patience_s:g} s" + (f": {seen}" if seen else ""), False

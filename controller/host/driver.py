@@ -14,8 +14,8 @@ any other exception, stopped by an emergency stop whose effect is awaited for a 
 latest by the session's own deadlines. Not thread-safe.
 """
 
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 
 from controller.host.connection import CLOCK, Connection, PortError, UnpluggedError
 from controller.host.session import Session
@@ -146,13 +146,10 @@ class Device:
             if progress is not None and isinstance(news, Progress):
                 progress(news.done, news.total)
 
-        self.listeners.append(watch)
-        try:
+        with self.heard_by(watch):
             self.need_no_fault()
             self.session.upload(image)
             return not self._done(Kind.COMMIT, UPLOAD_S).skipped
-        finally:
-            self.listeners.remove(watch)
 
     def arm(self, gain: float, lease_ms: int = LEASE_DEFAULT_MS, *, trial: bool = False) -> None:
         """Arm the device. From here on call `listen` or `pump` at least once per lease.
@@ -223,6 +220,16 @@ class Device:
         self.need_no_fault()
         self.session.surface(counts)
         self._done(Kind.SURFACE)
+
+    @contextmanager
+    def heard_by(self, *listeners: Listener) -> Iterator[None]:
+        """Further listeners within the block."""
+        self.listeners += listeners
+        try:
+            yield
+        finally:
+            for listener in listeners:
+                self.listeners.remove(listener)
 
     # Waiting.
 

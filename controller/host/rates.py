@@ -44,9 +44,8 @@ def carried(device: Device) -> float:
 
     device.set_telemetry(1)
     device.listen(SETTLED_S)
-    device.listeners.append(take)
     share = 0.0
-    try:
+    with device.heard_by(take):
         for _ in range(MEASUREMENTS):
             came.clear()
             begin_s = device.now_s()
@@ -54,8 +53,6 @@ def carried(device: Device) -> float:
             share = max(share, sum(came) * device.hello.dt_s / (device.now_s() - begin_s))
             if share >= WHOLE:
                 break
-    finally:
-        device.listeners.remove(take)
     device.set_telemetry(0)
     return min(share, 1.0)
 

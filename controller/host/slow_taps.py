@@ -50,12 +50,9 @@ def tap_by_tap(
         raise DeviceError(f"{device.name}: too slow to tap over it: {remedy(device.hello.dt_s, share)}")
     taps = _SlowTaps(device, recorder, gain, share, tell)
     end_s = float("inf") if duration_s is None else device.now_s() + duration_s
-    device.listeners.append(taps.take)
-    try:
+    with device.heard_by(taps.take):
         while taps.one(lambda: ended() or device.now_s() >= end_s):
             continue
-    finally:
-        device.listeners.remove(taps.take)
 
 
 class _SlowTaps:
