@@ -2,6 +2,7 @@
 
 import inspect
 import re
+from itertools import pairwise
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator
@@ -34,6 +35,13 @@ def _worded(text: str) -> str:
     if odd is not None:
         raise ValueError(f"holds the control character {odd!a}, which a terminal may obey: take it out")
     return text
+
+
+def increasing(values: list[float]) -> list[float]:
+    """Check that nodes are strictly increasing; a field validator of any table that has some."""
+    if any(b <= a for a, b in pairwise(values)):
+        raise ValueError("must be strictly increasing, without duplicates")
+    return values
 
 
 Name = Annotated[str, AfterValidator(_named)]

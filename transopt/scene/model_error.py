@@ -11,7 +11,7 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from transopt.base.section import NonNegative, Positive, Section
+from transopt.base.section import NonNegative, Positive, Section, increasing
 from transopt.base.signals import FloatArray
 from transopt.base.sizes import MOST_NODES
 
@@ -52,12 +52,7 @@ class ModelError(Section):
     at_use: Annotated[list[AtUse], Field(max_length=MOST_NODES)] = Field(default_factory=list)
     recorded_A: Annotated[list[NonNegative], Field(max_length=MOST_NODES)] = Field(default_factory=list)
 
-    @field_validator("frequencies_Hz")
-    @classmethod
-    def _increasing(cls, frequencies_Hz: list[float]) -> list[float]:
-        if sorted(set(frequencies_Hz)) != frequencies_Hz:
-            raise ValueError("must be strictly increasing, without duplicates")
-        return frequencies_Hz
+    _frequencies_ordered = field_validator("frequencies_Hz")(increasing)
 
     @model_validator(mode="after")
     def _shaped(self) -> Self:

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from transopt.base.errors import InputError
-from transopt.base.section import Finite, NonNegative, Positive, Section, Words
+from transopt.base.section import Finite, NonNegative, Positive, Section, Words, increasing
 from transopt.base.sizes import MOST_NODES, MOST_STATES
 from transopt.plant.chain import Link
 from transopt.plant.drive import drive
@@ -73,12 +73,6 @@ Grips = Annotated[list[NonNegative], Field(min_length=1, max_length=MOST_NODES)]
 NrmseByGrip = dict[str, NonNegative]
 
 
-def _increasing(grips_N: list[float]) -> list[float]:
-    if sorted(set(grips_N)) != grips_N:
-        raise ValueError("must be strictly increasing, without duplicates")
-    return grips_N
-
-
 def _of_grips(nrmse: NrmseByGrip) -> NrmseByGrip:
     for name in nrmse:
         try:
@@ -130,7 +124,7 @@ class RecordedDevice(ModelPart):
     predicted: Predicted | None = None
     causes: list[Words] = Field(default_factory=list)
 
-    _grips_ordered = field_validator("grips_N")(_increasing)
+    _grips_ordered = field_validator("grips_N")(increasing)
     _nrmse_by_grip = field_validator("nrmse")(_of_grips)
 
     def error_at(self, grip_N: float) -> float:
@@ -268,7 +262,7 @@ class _HeldHand(FittedPart):
 
     grips_N: Grips
 
-    _grips_ordered = field_validator("grips_N")(_increasing)
+    _grips_ordered = field_validator("grips_N")(increasing)
 
     @model_validator(mode="after")
     def _passive(self) -> Self:

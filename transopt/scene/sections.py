@@ -3,13 +3,12 @@
 The first paragraph of a table's docstring is shown to users beside its keys.
 """
 
-import itertools
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from transopt.base.section import Finite, NonNegative, Positive, Section, Speed, Temperature, Words
+from transopt.base.section import Finite, NonNegative, Positive, Section, Speed, Temperature, Words, increasing
 from transopt.base.sizes import (
     LONGEST_AFTER_S,
     LONGEST_DELAY_S,
@@ -26,13 +25,6 @@ from transopt.plant.kinds import Model
 from transopt.plant.motor import Tip
 from transopt.plant.time_grid import DELAY_ROUNDING
 from transopt.scene.population import Population
-
-
-def _increasing(values: list[float]) -> list[float]:
-    if any(b <= a for a, b in itertools.pairwise(values)):
-        raise ValueError("must be strictly increasing, without duplicates")
-    return values
-
 
 COVERED_S = 0.2e-3  # lead beyond the amplifier's delay, so that current already acts while the pulse rises
 
@@ -67,8 +59,8 @@ class Grid(Section):
     grip_min_N: Positive = 0.5
     cool_share: Annotated[float, Field(gt=0, lt=1)] | None = None
 
-    _speeds_ordered = field_validator("speeds_m_s")(_increasing)
-    _grips_ordered = field_validator("grips_N")(_increasing)
+    _speeds_ordered = field_validator("speeds_m_s")(increasing)
+    _grips_ordered = field_validator("grips_N")(increasing)
 
     @model_validator(mode="after")
     def _held_or_free(self) -> Self:
