@@ -43,7 +43,6 @@ from controller.servo.interface import State
 from controller.sim.port import SIMULATED
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.true_device import device_of
-from controller.waveforms.prediction import scene_of
 from transopt.base.errors import InputError
 from transopt.problem.objective.bands import JUST_NOTICED_dB
 
@@ -315,7 +314,7 @@ def main(
     if simulated:
         left = trials - len(answers.all)
         hand = simulated_taps(given["A"], seed + len(answers.all), left, taps)
-        bench, _ = simulated_bench(given["A"], device_of(scene_of(given["A"].library)), hand)
+        bench, _ = simulated_bench(given["A"], device_of(given["A"].library.scene()), hand)
     else:
         assert port is not None
         bench = person_at(port)

@@ -37,7 +37,6 @@ from controller.sim.sensors import SEED_SENSORS, Sensors
 from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import device_of
 from controller.waveforms.bank import bank
-from controller.waveforms.prediction import scene_of
 from transopt.base.errors import InputError
 from transopt.base.writing import table
 from transopt.design.build import build_library
@@ -162,7 +161,7 @@ def recorded(
     dt_s, bandwidth_Hz = settings.dt_s, sensors.accelerometer_bandwidth_Hz
     hand = StraightTaps(nodes, dt_s)
     true = Imperfections(crossover_A=0.0, sensors=sensors)
-    simulator = Simulator(device_of(scene_of(library)), hand, dt_s, imperfections=true, seed=seed)
+    simulator = Simulator(device_of(library.scene()), hand, dt_s, imperfections=true, seed=seed)
     with (
         Recorder(folder, dt_s, settings.count_m, settings.surface_counts) as recorder,
         CompiledDevice(plant_bytes(simulator, hand, hand.period_s), "--seed", str(seed)) as served,

@@ -37,7 +37,6 @@ from typer import Option
 import problems
 from controller.sim.played_tap import Played
 from controller.waveforms.bank import Method
-from controller.waveforms.prediction import scene_of
 from transopt.base.errors import InputError
 from transopt.base.machine import machine, versions
 from transopt.base.plotting import save_figure
@@ -86,7 +85,7 @@ class Experiment:
 
     @property
     def scene(self) -> Scene:
-        return scene_of(self.library)
+        return self.library.scene()
 
     @property
     def limits_A(self) -> tuple[float, float]:

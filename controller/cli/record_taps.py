@@ -24,7 +24,6 @@ from controller.sim.sensors import noise_seed
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
 from controller.sim.tapping import Motion, TappingHand, strike_of, tap_of
-from controller.waveforms.prediction import scene_of
 from transopt.base import terminal
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
@@ -217,7 +216,7 @@ def taps_of_library(wanted: Wanted, library: Path, scene: str | None) -> None:
     if given.settings.assumed_grip_N == 0 and any(wanted.grips_N or ()):
         raise InputError(f"--grips: {library} is of the free device, which nobody holds: give --grips 0")
     taps = TapFiles(wanted, loaded.speeds_m_s.tolist(), loaded.grips_N.tolist())
-    true = device_in(scene_of(loaded) if scene is None else scene_like(scene), wanted.wrong, wanted.seed)
+    true = device_in(loaded.scene() if scene is None else scene_like(scene), wanted.wrong, wanted.seed)
     bench, hand = simulated_bench(given, true, (), described=wanted.device)
     with connected(bench.port) as device:
         load(device, given, bench.console)

@@ -150,9 +150,8 @@ def refine(
         )
     if simulated:
         from controller.sim.chosen_device import device_in, scene_like
-        from controller.waveforms.prediction import scene_of
 
-        true = device_in(scene_of(loaded) if scene is None else scene_like(scene), wrong, seed)
+        true = device_in(loaded.scene() if scene is None else scene_like(scene), wrong, seed)
         bench, hand = simulated_at(loaded, true, wrong, seed, found.device)
         source = f"simulator, {scene or loaded.meta['scene']['name']}, mismatch {mismatch:g}, seed {seed}"
     else:

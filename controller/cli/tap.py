@@ -125,7 +125,6 @@ def _simulated(
     from controller.sim.simulated_tap import SimulatedTap
     from controller.sim.true_device import device_of
     from controller.waveforms.bank import Method, bank, solved_for
-    from controller.waveforms.prediction import scene_of
     from transopt.plant.intention import YIELDINGS
 
     one_of("method", method, (choice.value for choice in Method))
@@ -151,7 +150,7 @@ def _simulated(
     wanted = SimulatedTap(
         speed_m_s, grip_N, gain, None if user == RECORDED else cast("Yielding", user), seed=seed, imperfections=wrong
     )
-    true = device_of(scene_of(library) if true_device is None else scene_like(true_device))
+    true = device_of(library.scene() if true_device is None else scene_like(true_device))
     clock = WallClock() if real_time else None
     bench, _ = simulated_bench(given, true, [wanted], described=found.device, clock=clock)
     title = f"{path}: {speed_m_s:g} m/s, {grip_N:g} N, {method}, {user} user"
@@ -219,9 +218,8 @@ def _yardstick(library: "Library", played: "list[PlayedTap]") -> "Yardstick":
     from controller.cli.tables import Yardstick
     from controller.sim.simulated_tap import strike_real
     from controller.sim.true_device import device_of
-    from controller.waveforms.prediction import scene_of
 
-    scene = scene_of(library)
+    scene = library.scene()
     try:
         device = device_of(scene)
     except InputError:  # a black box

@@ -16,7 +16,7 @@ from controller.servo.interface import Event, Fault, Notice, Output, Plant, Read
 from controller.sim.simulated_tap import AFTER_S, SimulatedTap, approach_ticks, tap_simulator
 from controller.sim.simulator import Trace
 from controller.sim.true_device import TrueDevice, device_of
-from controller.waveforms.prediction import Prediction, predict, scene_of
+from controller.waveforms.prediction import Prediction, predict
 from transopt.base.signals import FloatArray, nrmse
 from transopt.library.library import Library
 
@@ -125,7 +125,7 @@ def play_tap(
     """
     prediction = predict(library, tap.speed_m_s, tap.grip_N, tap.gain)
     grid = library.time_grid()
-    truth = device_of(scene_of(library)) if device is None else device
+    truth = device_of(library.scene()) if device is None else device
     simulator, expected = tap_simulator(library, tap, truth, trace=True)
     outputs: list[Output] = []
     servo.arm()

@@ -11,7 +11,6 @@ from transopt.library.place import interpolation_weights
 from transopt.plant.discretise import discretise
 from transopt.plant.wall import HandOver
 from transopt.proof.replay import replay
-from transopt.scene.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -57,16 +56,6 @@ class Prediction:
         return self.gain * self.reference_m_s2 + self.own_m_s2
 
 
-def scene_of(library: Library) -> Scene:
-    """The scene that a library was solved from, as its file states it.
-
-    Raises
-    ------
-    InputError : the scene is of another version or was changed by hand.
-    """
-    return library.scene()
-
-
 def predict(
     library: Library, speed_m_s: float, grip_N: float, gain: float = 1.0, scale: float = 1.0, cooled: float = 0.0
 ) -> Prediction:
@@ -91,7 +80,7 @@ def predict(
     v, F = wave.speed_m_s, wave.grip_N
     wanted = library.wanted(v, F)
     target = wanted.target
-    grid, scene = library.time_grid(), scene_of(library)
+    grid, scene = library.time_grid(), library.scene()
     whole = gain == 1.0 and scale == 1.0 and cooled == 0.0
     at_node = v in library.speeds_m_s and F in library.grips_N and whole and not wave.silent
     if at_node:

@@ -25,7 +25,6 @@ from controller.sim.played_tap import run as play
 from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import device_of
 from controller.sim.user import RepeatedTaps
-from controller.waveforms.prediction import scene_of
 from transopt.base.signals import FloatArray
 from transopt.design.build import build_library
 from transopt.design.context import Context
@@ -295,7 +294,7 @@ def libraries(scene: Scene, runs: int) -> tuple[list[Row], Library]:
 
 def anew(library: Library) -> list[Row]:
     """Rows of `library.online` at random speeds, grips and temperatures, with certificates; second near the limit."""
-    solver, coil = Online(library, scene_of(library).plant), library.coil()
+    solver, coil = Online(library, library.scene().plant), library.coil()
     assert coil is not None
     found = []
     for name, coldest_C in (("riccati", coil.ambient_C), ("riccati, coil binds", coil.limit_C - 0.1)):
@@ -348,7 +347,7 @@ def iterations(problem: TransientProblem, runs: int) -> Iterations:
 def servo_and_simulator(library: Library, runs: int) -> Row:
     """A simulated second of random taps (servo, plant, sensors, hand), new in every run, so that none is cached."""
     given = payload_of(library)
-    device, dt_s = device_of(scene_of(library)), given.settings.dt_s
+    device, dt_s = device_of(library.scene()), given.settings.dt_s
     ticks = round(1 / dt_s)
     seeds = iter(range(runs + 1))
 

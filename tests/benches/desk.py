@@ -16,7 +16,6 @@ from controller.servo.interface import Output, Readings
 from controller.sim.port import SimulatedPort
 from controller.sim.simulator import Simulator
 from controller.sim.true_device import device_of
-from controller.waveforms.prediction import scene_of
 from tests.benches.device import started, tokens
 from tests.benches.probed import ProbedDevice
 from tests.benches.virtual_link import Link
@@ -156,7 +155,7 @@ class Desk(Cable):
         self.link = Link()
         super().__init__(self._started(), self, DT_S, line=self.link)
         self.hand = Hand()
-        self.plant = Simulator(device_of(scene_of(library)), self.hand, DT_S, target=target, steps=1)
+        self.plant = Simulator(device_of(library.scene()), self.hand, DT_S, target=target, steps=1)
         self.wrong: Callable[[Readings], Readings] | None = None
         self.motor = 1.0
         self.each_ms: Callable[[], None] = lambda: None

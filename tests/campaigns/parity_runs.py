@@ -15,7 +15,6 @@ from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import device_of
 from controller.sim.user import TapUser, Tremor
 from controller.waveforms.bank import Bank, Method, bank
-from controller.waveforms.prediction import scene_of
 from tests.benches.core_replay import ARM, DISARM, EXCITE, GAIN, NEGATIVE, RESET, Recorder
 from transopt.base.signals import FloatArray
 from transopt.library.library import Library
@@ -231,7 +230,7 @@ def tap_run(library: Library, seed: int) -> Recorder:
     intention = Intention(yields=YIELDINGS[int(random.integers(3))])
     user = TapUser(speed, grip, (contact + random.uniform()) * settings.dt_s, intention, Tremor())
     imperfections = Imperfections(mismatch=float(random.uniform(0, 0.1)))
-    device = replace(device_of(scene_of(library)), amplifier=settings.amplifier)
+    device = replace(device_of(library.scene()), amplifier=settings.amplifier)
     simulator = Simulator(device, user, settings.dt_s, imperfections=imperfections, seed=seed)
     recorder.servo.set_gain(1.0)
     broken = contact + int(random.integers(-contact, 700)) if random.uniform() < 0.4 else -1

@@ -25,7 +25,6 @@ from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import device_of
 from controller.sim.user import TapUser, Tremor
 from controller.waveforms.bank import Bank, bank
-from controller.waveforms.prediction import scene_of
 from tests.benches.oracle.crosscheck import Crosscheck
 from tests.benches.oracle.servo import Servo
 from tests.campaigns.harness import LibraryFile, Seed, at_least, library_of, long_form
@@ -138,7 +137,7 @@ def inject(library: Library, table: Bank, injection: Injection, seed: int) -> Ou
     user = TapUser(speed, grip, (contact + random.uniform()) * settings.dt_s, intention, Tremor())
     low, high = (1 - contact, PLAYING_TICKS + 100) if injection.within is None else injection.within
     instant = contact + int(random.integers(low, high))
-    device = device_of(scene_of(library))
+    device = device_of(library.scene())
     imperfections = Imperfections(mismatch=float(random.uniform(0, 0.1)))
     simulator = Simulator(device, user, settings.dt_s, imperfections=imperfections, seed=seed)
     servo = Servo(settings, table)

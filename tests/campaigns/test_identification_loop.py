@@ -45,7 +45,6 @@ from controller.sim.sensors import noise_seed
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
 from controller.sim.true_device import TrueDevice
-from controller.waveforms.prediction import scene_of
 from problems.generators.strikes import write_csv
 from tests.benches.compiled import servo_of
 from tests.campaigns.harness import PartFile, Seed, at_least, long_form, numbers_of, show, write_json, write_part
@@ -245,7 +244,7 @@ def run_one(scene: Path, loop: Loop, mismatch: float) -> list[Stage]:
     folder.mkdir(parents=True, exist_ok=True)
     wrong = Imperfections(mismatch=mismatch)
     nominal = solved(scene, folder / "nominal")
-    device = device_in(scene_of(nominal), wrong, loop.seed)
+    device = device_in(nominal.scene(), wrong, loop.seed)
     seed = loop.seed + ANOTHER_SEED
 
     def play(name: str, library: Library, designed: Library) -> Stage:

@@ -49,7 +49,6 @@ from controller.sim.chosen_device import device_in
 from controller.sim.played_tap import play_tap
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
-from controller.waveforms.prediction import scene_of
 from tests.benches.compiled import servo_of
 from tests.benches.libraries import part_of
 from tests.benches.other_device import (
@@ -117,7 +116,7 @@ class BuiltIn:
 
     def __init__(self, library: Library, mismatch: float, seed: int) -> None:
         self._wrong, self._seed = Imperfections(mismatch=mismatch), seed
-        self._device = device_in(scene_of(library), self._wrong, seed)
+        self._device = device_in(library.scene(), self._wrong, seed)
 
     def refined(self, library: Library, taps: int, rounds: int) -> Refined:
         bench, hand = simulated_at(library, self._device, self._wrong, self._seed, BUILT_IN)

@@ -32,7 +32,6 @@ from controller.sim.played_tap import run as play
 from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import device_of
 from controller.sim.user import RepeatedTaps, Tremor
-from controller.waveforms.prediction import scene_of
 from tests.campaigns.harness import LibraryFile, Seed, library_of, long_form
 from transopt.library.library import Library
 
@@ -214,7 +213,7 @@ def soak(
 ) -> None:
     """One stretch of tapping, added to the tally; without a tolerance the servo knows how far the device is off."""
     known = stretch.mismatch if amplifier_tolerance is None else amplifier_tolerance
-    device, coil = device_of(scene_of(library)), {}
+    device, coil = device_of(library.scene()), {}
     if stretch.hot and device.coil is not None:
         start_C = device.coil.limit_C - BELOW_LIMIT_K
         device = replace(device, coil=replace(device.coil, start_winding_C=start_C, start_housing_C=start_C))

@@ -7,7 +7,6 @@ import pytest
 
 from controller.protocol.codes import Kind
 from controller.servo.interface import Fault, State
-from controller.waveforms.prediction import scene_of
 from tests.benches.commands import Run, assert_refused
 from tests.benches.desk import PORT, Desk
 from tests.benches.telemetry_file import read_csv
@@ -140,7 +139,7 @@ def test_monitor_tells_events(play: Run, ready: Desk) -> None:
 
 
 def test_recording_a_real_object(play: Run, library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
-    target = scene_of(library).recordings.simulated
+    target = library.scene().recordings.simulated
     desk = Desk(library, target=target, gravity_m_s2=9.81).put(monkeypatch)
     desk.asked("hold")
     begun = iter([True])
@@ -156,7 +155,7 @@ def test_recording_a_real_object(play: Run, library: Library, monkeypatch: pytes
     recording = load_recording(Path("real/tap_001.csv"))
     assert recording.speed_m_s is None
     assert recording.grip_N == pytest.approx(3.0, abs=0.2)
-    tap = prepare(recording, scene_of(library).recordings)
+    tap = prepare(recording, library.scene().recordings)
     assert tap.speed_m_s == pytest.approx(0.2, rel=0.03)
     assert tap.offset_m_s2 == pytest.approx(9.81, abs=0.5)
     assert desk.end.look().configuration_sha256 == bytes(32)

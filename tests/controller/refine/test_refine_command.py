@@ -9,7 +9,6 @@ from controller.servo.interface import State
 from controller.sim.sensors import SEED_SENSORS
 from controller.sim.simulator import Imperfections, Simulator, true_device
 from controller.sim.true_device import device_of
-from controller.waveforms.prediction import scene_of
 from tests.benches.commands import Run, assert_refused
 from tests.benches.desk import DT_S, PORT, Desk
 from tests.benches.libraries import part_of
@@ -43,7 +42,7 @@ def test_on_a_device(play: Run, ready: Desk, library: Library) -> None:
     """The whole way over the protocol: the hand taps while the device is armed, three times a round."""
     one = part_of(library, [1], [1])
     one.save(Path("library.npz"))
-    device = true_device(device_of(scene_of(library)), Imperfections(mismatch=0.2), 4)
+    device = true_device(device_of(library.scene()), Imperfections(mismatch=0.2), 4)
     ready.plant = Simulator(device, ready.hand, DT_S, seed=4, steps=1)
     ready.ticks = 0
     given = payload(Path("library.npz"))

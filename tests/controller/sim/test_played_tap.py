@@ -13,7 +13,7 @@ from controller.sim.simulator import Imperfections
 from controller.sim.true_device import Ground
 from controller.sim.user import Tremor
 from controller.waveforms.bank import bank
-from controller.waveforms.prediction import predict, scene_of
+from controller.waveforms.prediction import predict
 from tests.benches.oracle.servo import Servo
 from transopt.base.errors import InputError
 from transopt.base.signals import nrmse
@@ -208,4 +208,4 @@ def test_a_library_of_another_version_is_refused_in_one_line(library: Library) -
     with pytest.raises(
         InputError, match=r"meta\.scene: thermal: idle_A flows in the pauses .*; solve the scene again"
     ):
-        scene_of(replace(library, meta={**library.meta, "scene": scene}))
+        replace(library, meta={**library.meta, "scene": scene}).scene()

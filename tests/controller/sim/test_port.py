@@ -21,7 +21,6 @@ from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
 from controller.sim.true_device import device_of
 from controller.waveforms.bank import bank
-from controller.waveforms.prediction import scene_of
 from tests.benches.commands import Run, assert_refused
 from tests.benches.oracle.servo import Servo
 from tests.benches.telemetry_file import read_csv
@@ -36,7 +35,7 @@ BANDWIDTH_HZ = 2500.0
 def contacts(library: Library, *taps: SimulatedTap) -> tuple[list[Contact], Device]:
     """What is recorded of taps one after the other, and the device afterwards."""
     given = payload_of(library)
-    bench, hand = simulated_bench(given, device_of(scene_of(library)), taps)
+    bench, hand = simulated_bench(given, device_of(library.scene()), taps)
     assert not isinstance(bench.port, str)
     recorder = Recorder(None, given.settings.dt_s, given.settings.count_m)
     with Device(bench.port) as device:
@@ -89,7 +88,7 @@ def test_taps_one_after_the_other_on_an_armed_device(library: Library) -> None:
 
 
 def test_it_is_a_connection_and_time_passes_only_in_reads(library: Library) -> None:
-    bench, _ = simulated_bench(payload_of(library), device_of(scene_of(library)), ())
+    bench, _ = simulated_bench(payload_of(library), device_of(library.scene()), ())
     port = bench.port
     assert isinstance(port, SimulatedPort)
     connection: Connection = port

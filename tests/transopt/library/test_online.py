@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from controller.waveforms.bank import Method, bank, solved_for
-from controller.waveforms.prediction import scene_of
 from tests.benches.libraries import under
 from tests.benches.oracle.blend import blend_at
 from tests.benches.places import ROOT
@@ -36,7 +35,7 @@ pytestmark = pytest.mark.skipif(not extension.available, reason="the extension i
 
 @pytest.fixture(scope="module")
 def solver(library: Library) -> Online:
-    return Online(library, scene_of(library).plant)
+    return Online(library, library.scene().plant)
 
 
 def test_at_every_node_it_is_the_entry(library: Library, solver: Online) -> None:
@@ -265,7 +264,7 @@ class TestOtherLimits:
         # A drive that is stated at the tip has no coil and no circuit.
         tip = library.scene().drive_at_tip().model_dump()
         bare = under(library, {"motor": None, "transmission": None, "tip": tip, "amplifier": "ideal"})
-        solver = Online(bare, scene_of(library).plant)
+        solver = Online(bare, library.scene().plant)
         with pytest.raises(InputError, match=message):
             solver.solve(0.3, 2.0, limits={name: 20.0})
 
@@ -307,7 +306,7 @@ class TestTheLibrarysOwnDevice:
 def test_over_a_wall(scene: Scene, taps: list[Recording]) -> None:
     """The ticks at which it pushes are those of the answer; the feedback is taken off the command."""
     walled = build_library(walled_scene(scene, 60.0), taps).library
-    solver = Online(walled, scene_of(walled).plant)
+    solver = Online(walled, walled.scene().plant)
     for speed, grip in ((0.2, 3.0), (0.4, 5.0), (0.33, 2.2)):
         tap = solver.solve(speed, grip)
         assert tap.solved, tap.remark
@@ -325,7 +324,7 @@ def test_over_a_wall(scene: Scene, taps: list[Recording]) -> None:
 def test_without_the_extension_it_is_refused(library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(online, "available", False)
     with pytest.raises(InputError, match="online: the solver's extension is not built"):
-        Online(library, scene_of(library).plant)
+        Online(library, library.scene().plant)
 
 
 class TestBank:

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from controller.waveforms.prediction import scene_of
 from transopt.design.optimum import optimum
 from transopt.library.library import Library
 from transopt.library.online import Online
@@ -95,7 +94,7 @@ def test_neither_earlier_taps_nor_other_threads_change_an_answer(library: Librar
 @pytest.mark.parametrize("wrong", ["order", "defective"])
 def test_a_device_of_another_kind_is_left_to_the_general_way(library: Library, wrong: str) -> None:
     """A caller's device may have other states at some grip, or none that modes tell apart."""
-    scene = scene_of(library)
+    scene = library.scene()
 
     def plant(grip_N: float) -> StateSpace:
         usual = scene.plant(grip_N)
