@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
-import numpy as np
-
 from transopt.plant.intention import BRAKING_S, INTENTION_S, Intention, Path
 
 RETREAT_S = 200e-3
@@ -80,7 +78,7 @@ def _minimum_jerk(part: float) -> float:
 
 
 @dataclass(frozen=True)
-class _Cycle:
+class Cycle:
     """One of many taps: rest, start, straight approach, yield, hold, retreat to where the next tap begins."""
 
     start_s: float
@@ -127,80 +125,13 @@ class _Cycle:
         return self.grip_N + (self.next_grip_N - self.grip_N) * _minimum_jerk(min(back, 1.0))
 
 
-def _height_m(speed_m_s: float) -> float:
+def start_height_m(speed_m_s: float) -> float:
     """Height above the surface at which an approach starts."""
     return speed_m_s * (STARTING_S / 2 + STRAIGHT_S) + STRAIGHT_M
 
 
-class _Taps(User):
-    """A hand that taps in cycles, yielding to each tap and retreating."""
-
-    tremor: Tremor | None = None
-
-    def _at(self, time_s: float) -> tuple[_Cycle, float]:
-        """The present tap, and the time on its cycle's time axis."""
-        raise NotImplementedError
-
-    def intention_m(self, time_s: float) -> float:
-        cycle, into_s = self._at(time_s)
-        z = cycle.intention_m(into_s)
-        return z if self.tremor is None else z + self.tremor.at(time_s)
-
-    def grip_N(self, time_s: float) -> float:
-        cycle, into_s = self._at(time_s)
-        return cycle.held_N(into_s)
-
-
-class RepeatedTaps(_Taps):
-    """Endless taps at random speeds and grips, for long runs.
-
-    Speeds are log-uniform, grips uniform; the grip changes during the retreat.
-
-    Parameters
-    ----------
-    seed : the same seed gives the same taps.
-    """
-
-    def __init__(
-        self,
-        seed: int,
-        *,
-        speeds_m_s: tuple[float, float] = (0.05, 1.0),
-        grips_N: tuple[float, float] = (0.0, 10.0),
-        tremor: Tremor | None = None,
-    ) -> None:
-        self._random = np.random.default_rng([seed, 4])
-        self._speeds_m_s, self._grips_N, self.tremor = speeds_m_s, grips_N, tremor
-        self._next = self._draw()
-        self._cycles: list[_Cycle] = []
-        self._starts: list[float] = []
-        self._append(0.0)
-        self._now = self._cycles[0]
-
-    def _draw(self) -> tuple[float, float]:
-        low, high = np.log(self._speeds_m_s)
-        return float(np.exp(self._random.uniform(low, high))), float(self._random.uniform(*self._grips_N))
-
-    def _append(self, start_s: float) -> None:
-        (speed, grip), self._next = self._next, self._draw()
-        cycle = _Cycle(start_s, speed, grip, _height_m(speed), _height_m(self._next[0]), self._next[1])
-        self._cycles.append(cycle)
-        self._starts.append(start_s)
-
-    def cycle(self, time_s: float) -> _Cycle:
-        """The present tap."""
-        if not self._now.start_s <= time_s < self._now.end_s:
-            while time_s >= self._cycles[-1].end_s:
-                self._append(self._cycles[-1].end_s)
-            self._now = self._cycles[max(bisect_right(self._starts, time_s) - 1, 0)]
-        return self._now
-
-    def _at(self, time_s: float) -> tuple[_Cycle, float]:
-        return self.cycle(time_s), time_s
-
-
-class TapsInTurn(_Taps):
-    """The given taps one after the other, repeated endlessly.
+class TapsInTurn(User):
+    """A hand that makes the given taps one after the other, endlessly, yielding to each and retreating.
 
     Parameters
     ----------
@@ -215,19 +146,30 @@ class TapsInTurn(_Taps):
     def __init__(self, taps: list[tuple[float, float]], period_s: float | None = None) -> None:
         if not taps:
             raise ValueError("taps: give at least one")
-        self._cycles: list[_Cycle] = []
+        self._cycles: list[Cycle] = []
         start = 0.0
         for (speed, grip), (next_speed, next_grip) in zip(taps, [*taps[1:], taps[0]], strict=True):
-            self._cycles.append(_Cycle(start, speed, grip, _height_m(speed), _height_m(next_speed), next_grip))
+            self._cycles.append(
+                Cycle(start, speed, grip, start_height_m(speed), start_height_m(next_speed), next_grip)
+            )
             start = self._cycles[-1].end_s
         self.period_s = start if period_s is None else period_s
         if self.period_s < start:
             raise ValueError(f"period_s = {self.period_s:g}: these taps take {start:g} s")
         self._starts = [cycle.start_s for cycle in self._cycles]
 
-    def _at(self, time_s: float) -> tuple[_Cycle, float]:
+    def _at(self, time_s: float) -> tuple[Cycle, float]:
+        """The present tap, and the time on its cycle's time axis."""
         into_s = time_s % self.period_s
         return self._cycles[bisect_right(self._starts, into_s) - 1], into_s
+
+    def intention_m(self, time_s: float) -> float:
+        cycle, into_s = self._at(time_s)
+        return cycle.intention_m(into_s)
+
+    def grip_N(self, time_s: float) -> float:
+        cycle, into_s = self._at(time_s)
+        return cycle.held_N(into_s)
 
 
 @dataclass(frozen=True)

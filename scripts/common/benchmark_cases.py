@@ -24,7 +24,7 @@ from controller.host.payload import payload_of
 from controller.sim.played_tap import run as play
 from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import device_of
-from controller.sim.user import RepeatedTaps
+from controller.sim.user import TapsInTurn
 from transopt.base.signals import FloatArray
 from transopt.design.build import build_library
 from transopt.design.context import Context
@@ -357,7 +357,9 @@ def servo_and_simulator(library: Library, runs: int) -> Row:
         servo.arm()
         imperfections = Imperfections(mismatch=0.1)
         # Without friction the motion is exact in any step; one before and one after the delay's end.
-        simulator = Simulator(device, RepeatedTaps(seed), dt_s, imperfections=imperfections, seed=seed, steps=1)
+        random = np.random.default_rng([seed, 4])
+        user = TapsInTurn([(random.uniform(0.05, 1.0), random.uniform(0.0, 10.0)) for _ in range(4)])
+        simulator = Simulator(device, user, dt_s, imperfections=imperfections, seed=seed, steps=1)
         play(simulator, servo, ticks)
 
     times = timed(runs, online=second)["online"]

@@ -31,7 +31,8 @@ from controller.servo.settings import Settings
 from controller.sim.played_tap import run as play
 from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import device_of
-from controller.sim.user import RepeatedTaps, Tremor
+from controller.sim.user import Tremor
+from tests.benches.repeated_taps import RepeatedTaps
 from tests.campaigns.harness import LibraryFile, Seed, library_of, long_form
 from transopt.library.library import Library
 

@@ -15,12 +15,12 @@ from controller.sim.simulated_tap import strike_real
 from controller.sim.simulator import NONE, Imperfections, Simulator, Trace
 from controller.sim.true_device import Ground, Joint, TrueDevice, device_of, rates
 from controller.sim.user import (
-    RepeatedTaps,
     StillHand,
     TapUser,
     Tremor,
     User,
 )
+from tests.benches.repeated_taps import RepeatedTaps
 from transopt.base.errors import InputError
 from transopt.base.matrices import exponential
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, nrmse
