@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from controller.record.played import PlayedTap
-from transopt.base.plotting import DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT, leave_room
+from transopt.base.plotting import DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT, leave_room, style
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 
 BEFORE_MS = 5.0
@@ -18,9 +18,7 @@ TITLE_CHARACTERS = 90  # of one line of the title; a hundred of mean width fill 
 
 def _axis(axes: Axes, label: str) -> None:
     axes.set_ylabel(label, fontsize=LABEL_PT)
-    axes.tick_params(labelsize=SMALL_PT)
-    axes.grid(color="0.9", linewidth=0.6)
-    axes.set_axisbelow(True)
+    style(axes)
     axes.axvline(0.0, color="0.75", linewidth=0.8, zorder=1)
 
 

@@ -24,30 +24,8 @@ from transopt.plant.motor import Motor
 
 # IEC 60063 computes E96; E24 is a list, since it departs from the formula.
 E24 = (
-    1.0,
-    1.1,
-    1.2,
-    1.3,
-    1.5,
-    1.6,
-    1.8,
-    2.0,
-    2.2,
-    2.4,
-    2.7,
-    3.0,
-    3.3,
-    3.6,
-    3.9,
-    4.3,
-    4.7,
-    5.1,
-    5.6,
-    6.2,
-    6.8,
-    7.5,
-    8.2,
-    9.1,
+    *(1.0, 1.1, 1.2, 1.3, 1.5, 1.6, 1.8, 2.0, 2.2, 2.4, 2.7, 3.0),
+    *(3.3, 3.6, 3.9, 4.3, 4.7, 5.1, 5.6, 6.2, 6.8, 7.5, 8.2, 9.1),
 )
 E96 = tuple(round(10 ** (k / 96), 2) for k in range(96))
 BASE_OHM = 10e3  # of the resistors: little noise, and a load that any operational amplifier drives

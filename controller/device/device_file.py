@@ -12,18 +12,25 @@ it is measured at the desk; the device itself puts readings right by it, before 
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
-from controller.servo.settings import Settings
+from controller.servo.settings import SCALE_LEAST, SCALE_MOST, Settings
 from transopt.base.section import Positive, Section, Words
 
-LEAST_SCALE, MOST_SCALE = 0.2, 5.0  # a sensor that is off by more is another sensor: state it in the firmware
 FINEST_COUNT_M, COARSEST_COUNT_M = 1e-6, 1e-4
 SHORTEST_DT_S, LONGEST_DT_S = 5e-5, 1e-3
 MOST_COUNTS = 1e6
 GRIP_N = 50.0  # what a hand does
 
-Scale = Annotated[float, Field(ge=-MOST_SCALE, le=MOST_SCALE)]
+
+def _of_a_size(scale: float) -> float:
+    """Refuse a sensor that is off by more: it is another sensor, to be stated in the firmware."""
+    if abs(scale) < SCALE_LEAST:
+        raise ValueError(f"its size must be {SCALE_LEAST:g} or more")
+    return scale
+
+
+Scale = Annotated[float, Field(ge=-SCALE_MOST, le=SCALE_MOST), AfterValidator(_of_a_size)]
 
 
 class Encoder(Section):

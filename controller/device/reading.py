@@ -6,17 +6,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from controller.device.device_file import BUILT_IN, LEAST_SCALE, TABLES, DeviceFile
+from controller.device.device_file import BUILT_IN, TABLES, DeviceFile
 from transopt.base.errors import InputError
 from transopt.base.files import is_file, whole_file
 from transopt.base.nearest import did_you_mean
-from transopt.base.toml import parse_toml, read_text, read_toml, section_of
+from transopt.base.toml import parse_toml, read_text, read_toml, section_of, toml_value
 
 BESIDE = "device.toml"  # name of the device file in the folder of a library
 EXAMPLES = Path(__file__).parent / "examples"
 ADVICE = "a device file is TOML; `transopt-play device new FILE` writes one"
 OF_A_CIRCUIT = "power"  # a table of every circuit file, which no device file has
-SCALES = ("grip.scale", "accelerometer.scale", "amplifier.scale", "amplifier.monitor_scale")
 _TABLE = re.compile(r"^\s*\[\s*([^\]]*?)\s*\]")
 
 
@@ -109,10 +108,6 @@ def _described(path: Path, kept: Path | None, source: str) -> Described:
         made = f"`transopt-play device circuit {path}` writes offered.toml beside it: give that"
         raise InputError(f"{path}: a circuit file, no device file: {made}")
     device = section_of(path, content, DeviceFile)
-    for key in SCALES:
-        value = value_of(device, key)
-        if abs(value) < LEAST_SCALE:
-            raise InputError(f"{path}: {key} = {value:g}: its size must be {LEAST_SCALE:g} or more")
     stated = frozenset(f"{table}.{key}" for table in TABLES for key in content.get(table, {}))
     return Described(device, kept, source, stated)
 
@@ -125,23 +120,14 @@ def as_text(device: DeviceFile, head: str = "") -> str:
     head : comment lines at the top, without `#`.
     """
     lines = [f"# {line}" for line in head.splitlines()]
-    lines += [f"name = {_toml_value(device.name)}"]
+    lines += [f"name = {toml_value(device.name)}"]
     for table, kind in TABLES.items():
         lines += ["", f"[{table}]  # {(kind.__doc__ or '').splitlines()[0]}"]
         for key, field in kind.model_fields.items():
             value = getattr(getattr(device, table), key)
-            shown = f"# {key} =" if value is None else f"{key} = {_toml_value(value)}"
+            shown = f"# {key} =" if value is None else f"{key} = {toml_value(value)}"
             lines.append(f"{shown}  # {field.description}")
     return "\n".join(lines) + "\n"
-
-
-def _toml_value(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        escaped = "".join(c if c.isprintable() and c not in '"\\' else f"\\u{ord(c):04x}" for c in value)
-        return f'"{escaped}"'
-    return repr(value)
 
 
 def write_device(path: Path, device: DeviceFile, head: str = "") -> None:

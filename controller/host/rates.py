@@ -10,17 +10,8 @@ from transopt.base.writing import rounded_down
 UART_BITS = 10  # bits per byte, start and stop included
 FRAMING = 1.08  # bytes on the line over those of the records: headers, check sums, stuffing, events, heartbeats
 BAUDS = (
-    115_200,
-    230_400,
-    460_800,
-    921_600,
-    1_000_000,
-    2_000_000,
-    3_000_000,
-    4_000_000,
-    6_000_000,
-    8_000_000,
-    12_000_000,
+    *(115_200, 230_400, 460_800, 921_600),
+    *(1_000_000, 2_000_000, 3_000_000, 4_000_000, 6_000_000, 8_000_000, 12_000_000),
 )
 MEASURED_S, SETTLED_S = 0.5, 0.1  # a line is measured for so long, and before that flushed of what is under way
 MEASUREMENTS = 3  # at most; a pause of the machine makes a line look slower, so that the fastest counts

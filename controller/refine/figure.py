@@ -9,7 +9,7 @@ from controller.refine.heard import Node, smooth
 from controller.refine.learning import SIGMAS
 from controller.refine.rounds import Refined
 from controller.refine.tables import place
-from transopt.base.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT
+from transopt.base.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT, style
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.plant.intention import INTENTION_S
 
@@ -19,9 +19,7 @@ COLOURS = (OPTIMUM, CLIPPED, SEED)
 def _axes(axes: Axes, x: str, y: str) -> None:
     axes.set_xlabel(x, fontsize=LABEL_PT)
     axes.set_ylabel(y, fontsize=LABEL_PT)
-    axes.tick_params(labelsize=SMALL_PT)
-    axes.grid(color="0.9", linewidth=0.6)
-    axes.set_axisbelow(True)
+    style(axes)
 
 
 def refine_figure(refined: Refined) -> Figure:
@@ -99,10 +97,10 @@ def _tap(axes: Axes, refined: Refined) -> None:
     axes.plot(ms, wanted[shown] / g, color="0.6", linewidth=3.0, label="designed")
     taps = [(first[node], "before", SEED, "-")]
     taps += [(last[node], "confirmed", OPTIMUM, "--")] if node in refined.better else []
-    for one, name, colour, style in taps:
+    for one, name, colour, dash in taps:
         measured = wanted + window.values(one.tapped.error)
         label = f"{name}, {100 * one.playback_error:.1f} %"
-        axes.plot(ms, measured[shown] / g, color=colour, linestyle=style, linewidth=1.2, label=label)
+        axes.plot(ms, measured[shown] / g, color=colour, linestyle=dash, linewidth=1.2, label=label)
     axes.set_title(place(before, node), fontsize=LABEL_PT)
     _axes(axes, "time from contact ms", "acceleration g")
     axes.legend(fontsize=SMALL_PT, framealpha=0.9)

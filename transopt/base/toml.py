@@ -1,5 +1,7 @@
-"""TOML files whose content is a section: reading them, and errors of one line with table, key, value and limit."""
+"""TOML files whose content is a section: reading, values as text, errors of one line with table, key and value."""
 
+import json
+import math
 import re
 import tomllib
 from collections.abc import Mapping
@@ -176,3 +178,32 @@ def explain(
     elsewhere = [other for other in others if other != keys[: len(other)]]
     more = f" (and {len(elsewhere)} more)" if elsewhere else ""
     return f"{source}: {text}{more}"
+
+
+def toml_key(name: str) -> str:
+    """A key as TOML; quoted if it contains more than letters, digits, underscores and dashes."""
+    bare = name.isascii() and name.replace("_", "").replace("-", "").isalnum()
+    return name if bare else _text(name)
+
+
+def _text(text: str) -> str:
+    """A TOML basic string: escaped as in JSON, and the delete character too."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def toml_value(value: Any) -> str:
+    """A value as TOML on one line; nested tables become inline tables."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return _text(value)
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            return "nan" if math.isnan(value) else "inf" if value > 0 else "-inf"
+        text = repr(value)
+        return text if "." in text or "e" in text else f"{text}.0"
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{toml_key(name)} = {toml_value(each)}" for name, each in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(toml_value, value)) + "]"
+    return str(value)

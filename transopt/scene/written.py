@@ -1,13 +1,12 @@
 """Writes a scene as the text of a file; reading it back gives the same scene."""
 
-import json
-import math
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from transopt.base.toml import toml_key, toml_value
 from transopt.plant.matrices import Matrices
 from transopt.scene.scene import Scene
 
@@ -23,42 +22,13 @@ def scene_text(scene: Scene) -> str:
         del content["model"]["file"]  # the matrices are written out, and may be stated only once
     plain = {key: value for key, value in content.items() if not isinstance(value, dict)}
     # Keys of the scene come first: after a table's header they would belong to that table.
-    blocks = ["\n".join(f"{key} = {_value(value)}" for key, value in plain.items() if value != [])]
+    blocks = ["\n".join(f"{key} = {toml_value(value)}" for key, value in plain.items() if value != [])]
     for key, value in content.items():
         if isinstance(value, dict) and value:
             blocks.append(
-                "\n".join([f"[{key}]", *(f"{_key(name)} = {_value(each)}" for name, each in value.items())])
+                "\n".join([f"[{key}]", *(f"{toml_key(name)} = {toml_value(each)}" for name, each in value.items())])
             )
     return "\n\n".join(block for block in blocks if block) + "\n"
-
-
-def _key(name: str) -> str:
-    """A TOML key; quoted if it contains more than letters, digits, underscores and dashes."""
-    bare = name.isascii() and name.replace("_", "").replace("-", "").isalnum()
-    return name if bare else _text(name)
-
-
-def _text(text: str) -> str:
-    """A TOML basic string: escaped as in JSON, and the delete character too."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def _value(value: Any) -> str:
-    """A TOML value on one line; nested tables become inline tables."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return _text(value)
-    if isinstance(value, float):
-        if not math.isfinite(value):
-            return "nan" if math.isnan(value) else "inf" if value > 0 else "-inf"
-        text = repr(value)
-        return text if "." in text or "e" in text else f"{text}.0"
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{_key(name)} = {_value(each)}" for name, each in value.items()) + " }"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(_value, value)) + "]"
-    return str(value)
 
 
 def edited(text: str, changes: Mapping[str, Any]) -> str | None:
@@ -141,11 +111,11 @@ def _line(lines: list[str], path: str, value: Any) -> list[str]:
         else:
             comment, was = _comment(kept)
             same = _value_of("\n".join(kept)) == [value]
-            new = kept if same else [f"{key} = {_value(value)}  {comment or '#'} (was {was})"]
+            new = kept if same else [f"{key} = {toml_value(value)}  {comment or '#'} (was {was})"]
         return [*lines[: old.start], *new, *lines[old.stop :]]
     if value is None:
         return lines
-    new = [f"{key} = {_value(value)}"]
+    new = [f"{key} = {toml_value(value)}"]
     after = [each.stop for each in all_of_them if each.table == table]
     if after:
         return [*lines[: after[-1]], *new, *lines[after[-1] :]]
@@ -167,7 +137,7 @@ def _comment(lines: list[str]) -> tuple[str, str]:
 
 def _table(lines: list[str], name: str, value: Mapping[str, Any]) -> list[str]:
     """The lines with the keys of a table, and its subtables, replaced by these; comments stay."""
-    new = [f"{key} = {_value(each)}" for key, each in value.items()]
+    new = [f"{key} = {toml_value(each)}" for key, each in value.items()]
     found, begun = list(lines), False
     for each in reversed(list(_statements(lines))):
         if each.table != name and not each.table.startswith(f"{name}."):
