@@ -11,11 +11,23 @@ import typer
 from key_pages import device_keys, scene_keys
 from page_tables import code, table
 
-from controller.servo.interface import Notice, State
-from controller.servo.rules import SEEN_WHEN
+from controller.servo.interface import Fault, Notice, State
+from controller.servo.rules import (
+    FEWEST_TICKS,
+    QUIET_BLOCK_S,
+    QUIET_BLOCKS,
+    QUIET_M_S2,
+    QUIET_SWING_A,
+    STUCK_COUNTS,
+    STUCK_LEAST_M,
+    WRONG_CURRENT_A,
+    WRONG_CURRENT_PART,
+    WRONG_CURRENT_S,
+)
 from controller.servo.settings import Settings
 from transopt.base import sizes
 from transopt.base.section import Section, meanings
+from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.base.units import LARGEST, unit_of
 from transopt.library.arrays import HASH_FIELD
 from transopt.library.columns import COLUMNS
@@ -30,6 +42,40 @@ PROGRAMS = {
     "transopt": "transopt.cli.main",
     "transopt-play": "controller.cli.play",
     "transopt-device": "controller.cli.device",
+}
+# Criterion of each fault, in the order of the checks: the first one that trips is latched. Names in
+# braces are settings.
+SEEN_WHEN = {
+    Fault.EMERGENCY_STOP: "it is pressed",
+    Fault.HOST_STOP: "a host asks for it over the link",
+    Fault.LATE_TICK: "the port says that a servo period came late",
+    Fault.BAD_SENSOR: (
+        "encoder or current give no number, or more than {encoder_limit_counts} counts or {current_range_A} A"
+    ),
+    Fault.OVER_CURRENT: "the measured current is above {over_current} times the limit",
+    Fault.OVER_TEMPERATURE: "the estimated winding is above its limit, or no number",
+    Fault.ENCODER_JUMP: "the encoder moves faster than {fastest_m_s} m/s",
+    Fault.ENCODER_STUCK: (
+        "{stuck_A_s} A s of a transient, or {stuck_s} s above {stuck_A} A, pass without a count of the encoder; "
+        f"or, while a transient plays, a motion of {STUCK_COUNTS:g} counts and {1e3 * STUCK_LEAST_M:g} mm by the "
+        "accelerometer"
+    ),
+    Fault.NO_CURRENT: (
+        "for {no_current_s} s less than {no_current_part} of the expected current flows, where that is "
+        f"{{no_current_A}} A or more; {FEWEST_TICKS} periods at least"
+    ),
+    Fault.WRONG_CURRENT: (
+        f"while a transient plays the measured current is for {1e3 * WRONG_CURRENT_S:g} ms further from the expected "
+        f"one than {WRONG_CURRENT_A:g} A and {100 * WRONG_CURRENT_PART:g} % of it; {FEWEST_TICKS} periods at least"
+    ),
+    Fault.GRIP_OPEN: "the grip reads below {grip_open_N} N, or no number",
+    Fault.GRIP_SHORT: "the grip reads above {grip_short_N} N",
+    Fault.GRIP_LOST: "while a transient plays the grip falls below the library's least",
+    Fault.ACCELEROMETER_DEAD: (
+        f"while a transient plays the current swings by {QUIET_SWING_A:g} A or more within "
+        f"{1e3 * QUIET_BLOCKS * QUIET_BLOCK_S:g} ms and the accelerometer by less than "
+        f"{QUIET_M_S2 / STANDARD_GRAVITY_M_S2:g} g rms"
+    ),
 }
 
 

@@ -1,1 +1,1 @@
-"""Settings of the compiled servo, its interface per tick, and the rules of its faults."""
+"""Settings of the compiled servo, its interface per tick, and its constants."""

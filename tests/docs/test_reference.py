@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 from controller.servo.interface import Fault
-from controller.servo.rules import SEEN_WHEN
 from tests.benches.model_parts import (
     amplifier_part,
     coil_part,
@@ -69,9 +68,9 @@ class TestExitCodes:
 
 
 class TestFaults:
-    def test_each_has_a_rule_and_words(self) -> None:
-        assert [rule.fault for rule in FAULTS] == list(SEEN_WHEN)
-        assert set(SEEN_WHEN) == set(Fault)
+    def test_each_has_a_rule_and_words(self, reference: Any) -> None:
+        assert [rule.fault for rule in FAULTS] == list(reference.SEEN_WHEN)
+        assert set(reference.SEEN_WHEN) == set(Fault)
 
 
 def paths(meta: dict[str, Any], before: str = "") -> Iterator[str]:

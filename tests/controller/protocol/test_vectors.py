@@ -8,7 +8,6 @@ import pytest
 
 from controller.protocol import messages as m
 from controller.protocol.codes import Kind
-from controller.protocol.requests_table import REQUESTS
 from controller.protocol.wire import Decoder, encode
 from tests.benches.probed import Decoder as CoreDecoder
 from tests.benches.probed import encode as core_encode
@@ -30,7 +29,8 @@ def test_both_ends_read_and_write_the_frames_of_the_manual(kind: Kind) -> None:
 
 
 def test_every_kind_of_a_host_stands_in_the_table_of_requests() -> None:
-    assert set(REQUESTS) == {kind for kind in Kind if kind < 64}
+    requests = runpy.run_path(str(DOCS / "protocol_pages.py"))["REQUESTS"]
+    assert set(requests) == {kind for kind in Kind if kind < 64}
 
 
 def test_the_page_is_what_the_code_says() -> None:
