@@ -1,12 +1,10 @@
 """Data shared by the entries of a scene: devices by grip and references by speed and grip, each computed once."""
 
-import json
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Generic, TypeVar
 
+from transopt.base.kept import Kept
 from transopt.library.posed import with_laws
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel
@@ -22,33 +20,8 @@ from transopt.references.references import Cells, References
 from transopt.scene.recordings import references_of, sampled_again
 from transopt.scene.scene import Scene
 
-KEPT_STAGES, KEPT_BETWEEN = 64, 32
-# Parts of a scene that a stage model depends on, besides the outputs that the limits read: its cache key.
-OF_A_STAGE = ("model", "motor", "transmission", "tip", "amplifier", "time", "feedback")
-T = TypeVar("T")
+KEPT_BETWEEN = 32
 Spot = tuple[float, float] | None  # normal and posture of an arm, by number from 1, or between two
-
-
-class Kept(Generic[T]):
-    """A cache of the most recent values; the key is a text of everything that a value depends on."""
-
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._values: OrderedDict[str, T] = OrderedDict()
-
-    def get(self, key: str, make: Callable[[], T]) -> T:
-        """Return the value of a key; compute and keep it on a cache miss."""
-        if key not in self._values:
-            self._values[key] = make()
-            if len(self._values) > self._most:
-                self._values.popitem(last=False)
-        self._values.move_to_end(key)
-        return self._values[key]
-
-
-def as_text(scene: Scene, *parts: str) -> str:
-    """Parts of a scene as JSON text: the cache key of a value that depends on these parts alone."""
-    return json.dumps(scene.model_dump(include=set(parts), mode="json"), sort_keys=True)
 
 
 @dataclass(frozen=True)
@@ -91,19 +64,11 @@ class Context:
     ----------
     scene : whose entries are posed.
     references : those of the scene's recordings or named targets, or a function that computes them on first use.
-    stages : the cache of stage models; contexts of varied scenes may share one.
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        references: References | Callable[[], References] | None = None,
-        stages: Kept[StageModel] | None = None,
-    ) -> None:
+    def __init__(self, scene: Scene, references: References | Callable[[], References] | None = None) -> None:
         self.scene, self._given = scene, references
-        self.stages: Kept[StageModel] = Kept(KEPT_STAGES) if stages is None else stages
         self._between: Kept[Reference] = Kept(KEPT_BETWEEN)
-        self._earlier: Posing | None = None  # posing of a scene from which this one is varied
         self._devices: dict[tuple[float, Spot], tuple[StageModel, tuple[StageModel, ...]]] = {}
 
     @classmethod
@@ -117,16 +82,16 @@ class Context:
         return cls(scene, lambda: references_of(scene, recordings))
 
     def varied(self, scene: Scene) -> "Context":
-        """Create the context of a scene with other numbers; it shares these references and the cached devices.
+        """Create the context of a scene with other numbers; it shares these references.
 
-        If its time axis differs, the references are resampled. Otherwise references between the recorded ones, and
-        error terms of equal weights, are the same objects, with all that was computed of them.
+        If its time axis differs, the references are resampled. Otherwise references between the recorded ones are the
+        same objects, with all that was computed of them.
         """
         if scene.time_grid() != self.scene.time_grid():
-            return Context(scene, lambda: sampled_again(scene, self.references), self.stages)
+            return Context(scene, lambda: sampled_again(scene, self.references))
         # Known references are handed over themselves, so that no context keeps the one that it was varied from.
-        found = Context(scene, vars(self).get("references", lambda: self.references), self.stages)
-        found._between, found._earlier = self._between, vars(self).get("posing")
+        found = Context(scene, vars(self).get("references", lambda: self.references))
+        found._between = self._between
         return found
 
     @cached_property
@@ -156,8 +121,7 @@ class Context:
     @cached_property
     def posing(self) -> Posing:
         """The part of the problem that all taps of the scene share, with user-defined limits evaluated."""
-        found = with_laws(self._linear.posing())
-        return found if self._earlier is None else found.weighting_as(self._earlier)
+        return with_laws(self._linear.posing())
 
     @cached_property
     def yardstick(self) -> Yardstick:
@@ -191,15 +155,10 @@ class Context:
     def _device(self, grip_N: float, place: Spot) -> tuple[StageModel, tuple[StageModel, ...]]:
         at = grip_N, place
         if at not in self._devices:
-            own = self._stage(self._linear, grip_N, place)
-            self._devices[at] = own, tuple(self._stage(of, grip) for of, grip in self._linear.spread(grip_N))
+            own, others = self._linear.plant(grip_N, place), self._linear.spread(grip_N)
+            spread = tuple(self.posing.stage(of.plant(grip)) for of, grip in others)
+            self._devices[at] = self.posing.stage(own), spread
         return self._devices[at]
-
-    def _stage(self, of: Scene, grip_N: float, place: Spot = None) -> StageModel:
-        posing = self.posing
-        outputs = sorted(posing.watched)
-        key = f"{grip_N!r} {place} {outputs} {as_text(of, *OF_A_STAGE)}"
-        return self.stages.get(key, lambda: posing.stage(of.plant(grip_N, place)))
 
     def posed(self, speed_m_s: float, grip_N: float, target: str = "", place: Spot = None) -> Posed:
         """Pose the problem of one entry of the scene.

@@ -121,6 +121,13 @@ class StateSpace:
         """Number of tracked accelerations p."""
         return int(self.C.shape[0])
 
+    @property
+    def numbers(self) -> tuple[object, ...]:
+        """All its numbers and names: equal for equal plants, and hashable."""
+        matrices = tuple((of.shape, of.tobytes()) for of in (self.A, self.B, self.C, self.D))
+        outputs = tuple((name, of.row.tobytes(), of.unit, of.follows) for name, of in self.outputs.items())
+        return matrices, outputs, self.driven_by
+
     @classmethod
     def from_matrices(
         cls,

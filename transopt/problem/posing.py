@@ -1,14 +1,14 @@
 """Poses the optimal-control problem of a tap from the limits, weights and time axis of a scene or a library."""
 
-import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from transopt.base.errors import InputError
+from transopt.base.kept import Kept
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
@@ -29,6 +29,9 @@ from transopt.problem.objective.rapid import rapid
 from transopt.problem.objective.target import Target
 from transopt.problem.objective.weighting import ErrorFilter
 from transopt.problem.problem import TransientProblem
+
+KEPT_TERMS = 16
+STAGES: Kept[StageModel] = Kept(64)  # of all scenes and libraries: what follows from a device is computed once
 
 
 @dataclass(frozen=True)
@@ -107,18 +110,16 @@ class Posing:
     __repr__ = brief
 
     def stage(self, plant: StateSpace) -> StageModel:
-        """The stage model of a plant with the outputs that wall and limits need.
+        """The stage model of a plant with the outputs that wall and limits need; the most recent ones are kept.
 
         Raises
         ------
         InputError : a limit on an output that the plant does not have.
         """
-        return discretise(
-            plant,
-            self.amplifier,
-            self.grid.dt_s,
-            position=self.wall is not None,
-            outputs=self.watched,
+        dt_s, position, outputs = self.grid.dt_s, self.wall is not None, self.watched
+        return STAGES.get(
+            (self.amplifier, dt_s, position, outputs, plant.numbers),
+            lambda: discretise(plant, self.amplifier, dt_s, position=position, outputs=outputs),
         )
 
     @property
@@ -129,43 +130,15 @@ class Posing:
     def terms(self, wanted: Wanted) -> tuple[ErrorTerm, ...]:
         """The error terms: plain and rapid for a tap, plain alone for a named target.
 
+        Taps that share the same tuple share everything derived from it.
+
         Raises
         ------
         InputError : no term has a weight.
         """
-        key = wanted.ends_s, wanted.slow_part_known
-        if key not in self._terms:
-            self._terms[key] = self._terms_of(wanted)
-        return self._terms[key]
-
-    @cached_property
-    def _terms(self) -> dict[tuple[float, bool], tuple[ErrorTerm, ...]]:
-        """Cache of the terms; taps that share the same tuple share everything derived from it."""
-        return {}
-
-    def weighting_as(self, other: "Posing") -> "Posing":
-        """This posing, with the error terms of another one where the same filter and equal numbers define them."""
-        numbers = operator.attrgetter("grid", "plain", "calm", "intention_s")
-        if self.rapid is other.rapid and numbers(self) == numbers(other):
-            vars(self)["_terms"] = other._terms
-        return self
-
-    def _terms_of(self, wanted: Wanted) -> tuple[ErrorTerm, ...]:
         if np.isfinite(wanted.ends_s):
-            term = plain(1.0, self.grid, np.inf)
-            over = self.grid.switching_times_s > wanted.ends_s
-            return (replace(term, weights=np.where(over, self.calm, 1.0), after=self.calm),)
-        found = []
-        if self.plain > 0 and wanted.slow_part_known:
-            found.append(plain(self.plain, self.grid, self.intention_s))
-        if self.rapid is not None:
-            found.append(rapid(self.rapid, self.grid))
-        if not found:
-            raise InputError(
-                "weights: no error term is left: give weights.plain above 0 and recordings whose slow part is known, "
-                'or weights.rapid = "highpass"'
-            )
-        return tuple(found)
+            return _of_target(self.grid, self.calm, wanted.ends_s)
+        return _of_taps(self.grid, self.plain if wanted.slow_part_known else 0.0, self.rapid, self.intention_s)
 
     def problems(
         self,
@@ -245,3 +218,22 @@ class Posing:
             named=bool(np.isfinite(wanted.ends_s)),
             intensity_dB=self.intensity_dB,
         )
+
+
+@lru_cache(maxsize=KEPT_TERMS)
+def _of_target(grid: TimeGrid, calm: float, ends_s: float) -> tuple[ErrorTerm, ...]:
+    term, over = plain(1.0, grid, np.inf), grid.switching_times_s > ends_s
+    return (replace(term, weights=np.where(over, calm, 1.0), after=calm),)
+
+
+@lru_cache(maxsize=KEPT_TERMS)
+def _of_taps(grid: TimeGrid, weight: float, by: ErrorFilter | None, intention_s: float) -> tuple[ErrorTerm, ...]:
+    found = [plain(weight, grid, intention_s)] if weight > 0 else []
+    if by is not None:
+        found.append(rapid(by, grid))
+    if not found:
+        raise InputError(
+            "weights: no error term is left: give weights.plain above 0 and recordings whose slow part is known, "
+            'or weights.rapid = "highpass"'
+        )
+    return tuple(found)

@@ -1,18 +1,19 @@
 """Solves, certifies and replays entries of varied scenes; an invalid scene is distinguished from a shortfall.
 
-A task is a small number of entries of one grip that share work: stage models and references are cached between
-tasks, and entries of the same device are replayed together. Tasks and outcomes are plain values, for any executor.
+A task is a small number of entries of one grip that share work: references are cached between tasks, and entries of
+the same device are replayed together. Tasks and outcomes are plain values, for any executor.
 """
 
+import json
 import threading
 import time
 from dataclasses import dataclass
 
 from transopt.base.errors import InputError
+from transopt.base.kept import Kept
 from transopt.base.threads import one_blas_thread
-from transopt.design.context import KEPT_STAGES, OF_A_STAGE, Context, Kept, Posed, as_text
+from transopt.design.context import Context, Posed
 from transopt.design.design import design
-from transopt.plant.discretise import StageModel
 from transopt.recordings.recording import Recording
 from transopt.references.references import References
 from transopt.scene.keys import Changes, with_values
@@ -22,6 +23,8 @@ from transopt.solvers.options import SolverOptions
 from transopt.study.rows import DEFECT, REFUSED, Outcome, outcome_of
 
 KEPT_REFERENCES = 8
+# Parts of a scene that its references depend on, those of the hand's device among them.
+RECORDED = ("recordings", "targets", "grid", "hand", "model", "motor", "transmission", "tip", "amplifier", "time")
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,6 @@ class Task:
 
 
 _references: Kept[References] = Kept(KEPT_REFERENCES)
-_stages: Kept[StageModel] = Kept(KEPT_STAGES)
 # All problems of one shape share CasADi's solver objects. If another thread calls one before its status is read, the
 # status is that of the wrong problem.
 _one_at_a_time = threading.Lock()
@@ -69,9 +71,9 @@ def _context(task: Task, changes: Changes) -> Context:
     """The context of one scene of a task; parts that depend only on device or recordings are cached."""
     scene = with_values(task.scene, changes)
     recorded = scene.model_copy(update={"grid": task.scene.grid})
-    of = as_text(recorded, "recordings", "targets", "grid", "hand", *OF_A_STAGE)
+    of = json.dumps(recorded.model_dump(include=set(RECORDED), mode="json"), sort_keys=True)
     key = f"{task.source} {scene.time_grid()} {of}"
-    return Context(scene, lambda: _references.get(key, lambda: references_of(recorded, task.recordings)), _stages)
+    return Context(scene, lambda: _references.get(key, lambda: references_of(recorded, task.recordings)))
 
 
 def _ended(task: Task, item: Item, error: Exception) -> Outcome:

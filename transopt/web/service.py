@@ -17,7 +17,7 @@ from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.base.threads import one_blas_thread
 from transopt.design.build import build_library
-from transopt.design.context import KEPT_STAGES, Context, Kept, Posed
+from transopt.design.context import Context, Posed
 from transopt.design.design import design
 from transopt.design.entry import Entry
 from transopt.design.explain import what_would_do
@@ -26,7 +26,6 @@ from transopt.design.scene_entry import SceneEntry
 from transopt.library.library import Library
 from transopt.library.recorded import references_of_library
 from transopt.plant.coil import CoilModel
-from transopt.plant.discretise import StageModel
 from transopt.plant.time_grid import TimeGrid
 from transopt.problem.warm_coil import WarmCoil
 from transopt.recordings.recording import Recording
@@ -92,7 +91,6 @@ class Service:
         self._references: tuple[str, References] = ("", References())
         self._referenced: Scene | None = None  # scene of the last look-up of references
         self._recordings: tuple[str, list[Recording]] = ("", [])
-        self._stages: Kept[StageModel] = Kept(KEPT_STAGES)  # cache over all scenes that the sliders produced
         self._context: Context | None = None
         self.probe: tuple[float, float] | None = None
         self.winding_C: float | None = None
@@ -111,7 +109,7 @@ class Service:
     @property
     def _fresh(self) -> dict[str, Any]:
         """What services of one scene do not share, as at their beginning."""
-        return {"_stages": Kept(KEPT_STAGES), "_context": None, "trial": replace(self.trial, spans={})}
+        return {"_context": None, "trial": replace(self.trial, spans={})}
 
     def another(self) -> "Service":
         """A service of the scene as opened for another window; the references are shared."""
@@ -248,7 +246,7 @@ class Service:
         """Devices and references of the scene as it is now."""
         known, references = self._context, self.references(self.scene)
         if known is None or known.references is not references:
-            self._context = Context(self.scene, references, self._stages)
+            self._context = Context(self.scene, references)
         elif known.scene is not self.scene:
             self._context = known.varied(self.scene)
         assert self._context is not None

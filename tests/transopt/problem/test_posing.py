@@ -11,6 +11,7 @@ from transopt.design.context import Context, wanted_of
 from transopt.problem.leave_out import leave_out, leave_out_all
 from transopt.problem.posing import Wanted
 from transopt.problem.problem import FIELDS, TransientProblem
+from transopt.scene.keys import with_values
 from transopt.scene.recordings import recordings_of
 
 # Without and with courses of the nominal motion in the limits, with a wall, and with several motors.
@@ -78,3 +79,17 @@ def test_a_raised_temperature_limit_is_another_one() -> None:
     assert problem.thermal is not None
     assert problem.thermal.raised(1.0) != problem.thermal
     assert problem.replaced(problem.thermal.raised(1.0)).limits != problem.limits
+
+
+def test_equal_devices_of_any_scene_are_one() -> None:
+    scene, changed = problems.load("wood_on_foam"), {"limits.current_A": 3.0, "weights.rho": 0.5}
+    own, same, heavier = (
+        Context(each).stage(5.0)
+        for each in (scene, with_values(scene, changed), with_values(scene, {"model.stylus_mass_kg": 0.027}))
+    )
+    assert own is same
+    assert own is not heavier
+    assert not np.array_equal(own.A, heavier.A)
+    faster = Context(with_values(scene, {"amplifier.pole_Hz": 2000.0})).stage(5.0)
+    assert own is not faster
+    assert own.plant.numbers == faster.plant.numbers != heavier.plant.numbers

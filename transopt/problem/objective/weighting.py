@@ -17,9 +17,9 @@ RAPID = ("highpass", "pacinian", "none")  # values of a scene's `weights.rapid`
 FLOOR = 0.1  # least gain of the Pacinian filter, -20 dB, at which every frequency still counts
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ErrorFilter:
-    """Second-order filter of the sampled error, starting at rest.
+    """Second-order filter of the sampled error, starting at rest. Equal ones are the same object.
 
     Attributes
     ----------
