@@ -98,10 +98,11 @@ class Batch:
         if self._stated is not None:
             return self._stated
         # A solver that broke down returns NaN; the integrator plays zeros instead.
-        commands = np.nan_to_num(
-            np.stack([d.solution.command for d in self.designed]), nan=0.0, posinf=0.0, neginf=0.0
-        )
-        return np.stack([d.problem.transient_command(c) for d, c in zip(self.designed, commands, strict=True)])
+        found = np.stack([designed.solution.command for designed in self.designed])
+        np.nan_to_num(found, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+        for each, command in zip(self.designed, found, strict=True):
+            command[...] = each.problem.transient_command(command)
+        return found
 
     @cached_property
     def _on_nonlinear_plant(self) -> list[list[Replay]]:

@@ -323,10 +323,10 @@ def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> L
     """
     if not physical_scale:
         return _linear(problem, problem.input_scale, physical_scale=False)
-    return _in_unit_scales(problem).scaled(problem.input_scale, _unit_m_s2(problem))
+    return in_unit_scales(problem).scaled(problem.input_scale, _unit_m_s2(problem))
 
 
-def _in_unit_scales(problem: TransientProblem) -> LinearStage:
+def in_unit_scales(problem: TransientProblem) -> LinearStage:
     """The linear stage with both scales 1, which depends on devices, filters, wall and horizon alone."""
 
     def made() -> LinearStage:
@@ -398,7 +398,7 @@ def units_m_s2(problems: Sequence[TransientProblem]) -> FloatArray:
 
 def outputs_of(problems: Sequence[TransientProblem]) -> tuple[FloatArray, FloatArray]:
     """(P, outputs, n) C and (P, outputs, m) E of the linear stages of problems that differ only in the target."""
-    stage = _in_unit_scales(problems[0])
+    stage = in_unit_scales(problems[0])
     by = np.ones((len(problems), stage.C.shape[0], 1))
     by[:, : stage.errors] = (problems[0].input_scale / units_m_s2(problems))[:, None, None]
     return stage.C * by, stage.E * by

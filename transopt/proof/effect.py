@@ -176,10 +176,15 @@ def effects(commands: Sequence[tuple[TransientProblem, FloatArray]]) -> list[Eff
     for effect in found:
         groups.setdefault((id(effect.problem.stage), effect.problem.grid), []).append(effect)
     for group in groups.values():
+        first = group[0].problem
+        if all(effect.problem.wall is None for effect in group):
+            continued = first.continued(np.stack([effect.command for effect in group]))
+        else:
+            continued = np.stack([effect.continued for effect in group])
         with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
-            lasting = group[0].problem.stage.motion(np.stack([effect.continued for effect in group]))
+            lasting = first.stage.motion(continued)
         for course, effect in enumerate(group):
-            effect.lasting = lasting.of_course(course)
+            effect.continued, effect.lasting = continued[course], lasting.of_course(course)
     return found
 
 

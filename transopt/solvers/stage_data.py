@@ -61,10 +61,12 @@ def tracking_values(problem: TransientProblem, stage: LinearStage) -> dict[str, 
 
 def _wanted(problems: Sequence[TransientProblem]) -> FloatArray:
     """(P, N, outputs) targets of the outputs: for each device all error terms, then zeros for the price on heat."""
-    first, wanted = problems[0], np.stack([problem.tracking.solved_wanted for problem in problems])
-    priced = first.stage.motors * int(first.heat_price > 0)
-    parts = [wanted] * len(first.devices) + [np.zeros((len(problems), priced, first.grid.stages))]
-    return np.ascontiguousarray(np.swapaxes(np.concatenate(parts, axis=1), 1, 2))
+    first, wanted = problems[0], [problem.tracking.solved_wanted for problem in problems]
+    tracked = len(first.devices) * len(wanted[0])
+    found = np.zeros((len(problems), first.grid.stages, tracked + first.stage.motors * int(first.heat_price > 0)))
+    for each, of in zip(found, wanted, strict=True):
+        each[:, :tracked] = np.tile(of.T, len(first.devices))
+    return found
 
 
 def _weights(problem: TransientProblem, stage: LinearStage) -> FloatArray:

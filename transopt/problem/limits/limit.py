@@ -313,14 +313,28 @@ class Limits:
     def __contains__(self, name: object) -> bool:
         return any(limit.name == name for limit in self.members)
 
+    def __hash__(self) -> int:
+        return self._hash
+
+    @cached_property
+    def _hash(self) -> int:
+        return hash(self.members)
+
     def without(self, *names: str) -> "Limits":
-        return Limits(tuple(limit for limit in self.members if limit.name not in names))
+        """The limits that have none of these names; equal questions have the same object as their answer."""
+        if names not in self._without:
+            self._without[names] = Limits(tuple(limit for limit in self.members if limit.name not in names))
+        return self._without[names]
+
+    @cached_property
+    def _without(self) -> dict[tuple[str, ...], "Limits"]:
+        return {}
 
     def replaced(self, limit: Limit) -> "Limits":
         """Replace the limit of the same name by this one."""
         return Limits(tuple(limit if each.name == limit.name else each for each in self.members))
 
-    @property
+    @cached_property
     def input(self) -> Limit:
         """The limit on the plant's input, which every problem has."""
         return next(limit for limit in self.members if limit.scales_movement)

@@ -16,7 +16,7 @@ from transopt.base.matrices import powers
 from transopt.base.signals import FloatArray
 from transopt.problem.limits import hand_over
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage import LinearStage, units_m_s2
+from transopt.problem.stage import LinearStage, in_unit_scales, units_m_s2
 
 
 @dataclass(frozen=True)
@@ -89,10 +89,10 @@ def tails(problems: Sequence[TransientProblem], stage: LinearStage) -> Tail:
 def _free(problem: TransientProblem, stage: LinearStage) -> _Free:
     """The factors of the free motion, cached in the stage model because all taps of one grip share them."""
     own = problem.grid.after_stages, tuple(problem.shared.tolist())
-    return problem.stage.kept(_Free, (stage.A, problem.terms), own, lambda: _free_of(problem, stage))
+    return problem.stage.kept(_Free, (stage.A, problem.terms), own, lambda: _free_of(problem))
 
 
-def _free_of(problem: TransientProblem, stage: LinearStage) -> _Free:
+def _free_of(problem: TransientProblem) -> _Free:
     M = problem.grid.after_stages
     # Roots of the weights of every output (device, term), repeated for the M instants.
     after = np.sqrt([term.after for term in problem.terms])
@@ -100,8 +100,8 @@ def _free_of(problem: TransientProblem, stage: LinearStage) -> _Free:
     roots = np.tile(np.outer(np.sqrt(problem.shared), after).ravel()[counting], M)
     Q, R = np.zeros((0, 0)), np.zeros((0, 0))
     if problem.wall is None:
-        Q, R = np.linalg.qr(_fixed(stage, M, counting) * roots[:, None])
-        R *= stage.unit_m_s2 / stage.input_scale
+        # From scales of one, so that no digit depends on the tap that came first.
+        Q, R = np.linalg.qr(_fixed(in_unit_scales(problem), M, counting) * roots[:, None])
     return _Free(counting, roots, Q, R)
 
 

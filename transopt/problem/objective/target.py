@@ -129,8 +129,8 @@ class Target:
     @cached_property
     def is_zero(self) -> bool:
         """Whether the tap up to the window's end counts as zero."""
-        asked = np.append(self.before_m_s2, self.window_m_s2)
-        return float(asked @ asked) < ZERO_M_S2**2 * asked.size
+        before, window = self.before_m_s2, self.window_m_s2
+        return float(np.vdot(before, before) + np.vdot(window, window)) < ZERO_M_S2**2 * (before.size + window.size)
 
     @cached_property
     def asks_for_nothing(self) -> bool:
