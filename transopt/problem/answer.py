@@ -102,11 +102,15 @@ class Multipliers:
     @property
     def largest(self) -> float:
         """The largest multiplier of a limit, whatever its unit."""
-        return max(map(self.most, self.pairs), default=0.0)
+        return max(self._most.values(), default=0.0)
 
     def most(self, row: str) -> float:
         """The largest multiplier of a row."""
-        return max((float(side.max()) for side in self.pairs.get(row, ())), default=0.0)
+        return self._most.get(row, 0.0)
+
+    @cached_property
+    def _most(self) -> dict[str, float]:
+        return {row: max(float(lower.max()), float(upper.max())) for row, (lower, upper) in self.pairs.items()}
 
     def clipped(self) -> "Multipliers":
         """Return a copy with every negative multiplier of a limit set to zero and the slope clipped to [-1, 1]."""

@@ -309,11 +309,10 @@ def relaxed_bound(effect: Effect, multipliers: Multipliers) -> float:
 
 def _spans_ms(problem: TransientProblem, stages: NDArray[np.intp]) -> str:
     """The time spans of ascending stages, in milliseconds after contact."""
-    ends = np.flatnonzero(np.diff(stages) > 1)
-    firsts, lasts = stages[np.append(0, ends + 1)], stages[np.append(ends, -1)]
-    times_ms = problem.grid.switching_times_s * 1e3
-    spans = zip(times_ms[firsts].tolist(), times_ms[lasts].tolist(), strict=True)
-    return ", ".join(f"{first:.2f}" + (f" to {last:.2f}" if last > first else "") for first, last in spans)
+    ends, times_s = np.flatnonzero(np.diff(stages) > 1).tolist(), problem.grid.switching_times_s
+    spans = zip([0, *(end + 1 for end in ends)], [*ends, -1], strict=True)
+    found = [(1e3 * float(times_s[stages[first]]), 1e3 * float(times_s[stages[last]])) for first, last in spans]
+    return ", ".join(f"{first:.2f}" + (f" to {last:.2f}" if last > first else "") for first, last in found)
 
 
 def binding_limits(

@@ -223,7 +223,7 @@ def played_nonlinear(
             winding_C=float("nan"),
             housing_C=float("nan"),
             command=played[m],
-            rounding_m_s2=0.0,
+            scale_m_s2=float(peak_scale(np.abs(found[m, :N]).max(), 0.0)),
             step_error=float(error[m]),
         )
         for m in range(len(played))

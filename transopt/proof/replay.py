@@ -6,7 +6,6 @@ every fine step.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -49,7 +48,7 @@ class Replay:
     winding_C, housing_C : highest temperatures over the horizon, or for taps that repeat over the periodic steady
         state; NaN without a coil model and for several motors.
     command : (N,) the total command that was played; with a wall the transient plus the feedback of the replay.
-    rounding_m_s2 : rounding error of y'', `ROUNDING` times the largest |C||x| + |D||i| at the switching instants.
+    scale_m_s2 : reference for relative differences of y'': its peak, or what its rounding error makes significant.
     step_error : difference of y'' from a replay with half the step, relative to `scale_m_s2`.
     """
 
@@ -65,15 +64,10 @@ class Replay:
     winding_C: float
     housing_C: float
     command: FloatArray
-    rounding_m_s2: float
+    scale_m_s2: float
     step_error: float
 
     __repr__ = brief
-
-    @cached_property
-    def scale_m_s2(self) -> float:
-        """Reference for relative differences of y''."""
-        return float(peak_scale(np.abs(self.acceleration_m_s2).max(), self.rounding_m_s2))
 
     def peak(self, limit: Limit) -> float:
         """Largest absolute value over all t of the quantity a limit bounds; NaN if the replay did not check it."""
@@ -298,7 +292,8 @@ def replay(
         step_error = np.max([run.step_error for run in runs], axis=0)
     whole, early, of_input, of_motion = _peaks(runs, limits, (stage, *spread), grid)
     peaks = of_input, largest(course.command), of_motion
-    numbers = np.stack([*peaks, winding, housing, course.rounding, step_error], axis=1).tolist()
+    scale = peak_scale(largest(acceleration), course.rounding)
+    numbers = np.stack([*peaks, winding, housing, scale, step_error], axis=1).tolist()
     return [
         Replay(
             acceleration_m_s2=acceleration[m],
@@ -313,10 +308,10 @@ def replay(
             winding_C=winding_C,
             housing_C=housing_C,
             command=course.command[m],
-            rounding_m_s2=off,
+            scale_m_s2=scale_m_s2,
             step_error=by_step,
         )
-        for m, (peak_input, peak_command, after_peak, winding_C, housing_C, off, by_step) in enumerate(numbers)
+        for m, (peak_input, peak_command, after_peak, winding_C, housing_C, scale_m_s2, by_step) in enumerate(numbers)
     ]
 
 

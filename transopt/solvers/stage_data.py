@@ -161,20 +161,18 @@ class Stages:
     def multipliers(self, by_row: FloatArray, gradient: FloatArray) -> Multipliers:
         """Multipliers of J in SI, from the scaled ones (N + 1, rows), upper less lower, and the gradient."""
         problem, N = self.problem, self.sizes["stages"]
-        scaled = np.ascontiguousarray((by_row / self.limits.unit).T)
-        upper, lower = np.maximum(scaled, 0.0), np.maximum(-scaled, 0.0)
-        place = {kind: j for j, kind in enumerate(self.limits.kinds)}
-        pairs, slope = {}, np.zeros(N)
-        for limit, row in problem.rows():
-            if row.linear:
-                by, j = OBJECTIVE_SCALE / limit.stated, place[row.name]
-                pairs[row.name] = (lower[j, :N] * by, upper[j, :N] * by)
+        by, place = OBJECTIVE_SCALE / self.limits.unit, {kind: j for j, kind in enumerate(self.limits.kinds)}
+        rows = [(row.name, place[row.name], limit.stated) for limit, row in problem.rows() if row.linear]
+        for _, j, stated in rows:
+            by[j] /= stated
+        if problem.thermal is not None:
+            by[place[WINDING]] /= self.kelvin
+        in_SI = np.ascontiguousarray((by_row * by).T)
+        upper, lower = np.maximum(in_SI, 0.0), np.maximum(-in_SI, 0.0)
+        pairs, slope = {name: (lower[j, :N], upper[j, :N]) for name, j, _ in rows}, np.zeros(N)
         if problem.thermal is not None:
             slope = slope_of(lower[place["size_above"], :N], lower[place["size_below"], :N])
-            pairs[problem.thermal.row_names[0]] = (
-                np.zeros(N),
-                upper[place[WINDING], 1:] * (OBJECTIVE_SCALE / self.kelvin),
-            )
+            pairs[problem.thermal.row_names[0]] = (np.zeros(N), upper[place[WINDING], 1:])
         return Multipliers(N, pairs, self.hand_over(gradient), slope)
 
 
