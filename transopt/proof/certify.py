@@ -1,5 +1,6 @@
 """Certificate of optimality from a command and multipliers, independent of the solver."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -236,7 +237,7 @@ def is_stated(problem: TransientProblem, command: FloatArray, multipliers: Multi
 
 def _is_finite(array: FloatArray) -> bool:
     """Whether all numbers are finite; the sum of their squares, fast, settles that unless it overflows."""
-    return bool(np.isfinite(np.vdot(array, array))) or bool(np.isfinite(array).all())
+    return math.isfinite(np.vdot(array, array)) or bool(np.isfinite(array).all())
 
 
 def left_over(

@@ -115,10 +115,11 @@ class Reference:
 
     def with_courses(self, stacked: FloatArray, **others: Any) -> "Reference":
         """A copy whose courses are parts of one array (K,), in the order of `stacked`, and with other fields."""
-        courses = {name: stacked[part].reshape(shape) for name, (part, shape) in self.within_stacked.items()}
-        found = object.__new__(type(self))
-        vars(found).update({name: getattr(self, name) for name in (*self.__dataclass_fields__, "within_stacked")})
-        vars(found).update(**courses, **others, stacked=stacked)
+        found, within = object.__new__(type(self)), self.within_stacked
+        vars(found).update(vars(self), **others, stacked=stacked)
+        vars(found).pop("target", None)
+        for name, (part, shape) in within.items():
+            vars(found)[name] = stacked[part] if len(shape) == 1 else stacked[part].reshape(shape)
         return found
 
     @cached_property

@@ -5,6 +5,7 @@ grips that were not recorded are blended: linearly in grip, as commands are, and
 the recorded grips the nearest one is used. Taps that state no grip are used for every grip.
 """
 
+import math
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -208,13 +209,18 @@ def _blend(
     scale_a, scale_b = scales
     return a.with_courses(
         (1 - w) * scale_a * a.stacked + w * scale_b * b.stacked,
-        repeatability=float(np.maximum(a.repeatability, b.repeatability)),
-        repeatability_unaligned=float(np.maximum(a.repeatability_unaligned, b.repeatability_unaligned)),
+        repeatability=_larger(a.repeatability, b.repeatability),
+        repeatability_unaligned=_larger(a.repeatability_unaligned, b.repeatability_unaligned),
         taps=a.taps + b.taps,
-        factors=np.append(scale_a * a.factors, scale_b * b.factors),
+        factors=np.concatenate([scale_a * a.factors, scale_b * b.factors]),
         slow_part_known=a.slow_part_known and b.slow_part_known,
         **others,
     )
+
+
+def _larger(a: float, b: float) -> float:
+    """The larger number; NaN if one is."""
+    return b if a < b or math.isnan(b) else a
 
 
 def assign(taps: Sequence[PreparedTap], speeds_m_s: Sequence[float], settings: Recordings) -> list[list[Scaled]]:

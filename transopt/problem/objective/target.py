@@ -105,7 +105,7 @@ class Target:
     @cached_property
     def flaw(self) -> str:
         """Why the target is invalid, in words: a NaN, an infinite or a too large number; empty if it is valid."""
-        if np.abs(self.whole_m_s2).max(initial=0.0) <= LARGEST_M_S2:  # false for NaN
+        if np.vdot(self.whole_m_s2, self.whole_m_s2) <= LARGEST_M_S2**2:  # false for NaN
             return ""
         named = {"window": self.window_m_s2, "after": self.after_m_s2, "before": self.before_m_s2}
         for name, array in named.items():
