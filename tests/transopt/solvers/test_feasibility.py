@@ -19,6 +19,7 @@ from transopt.problem.limits import hand_over, limits_of
 from transopt.problem.problem import TransientProblem
 from transopt.problem.wall_ticks import encoder_course, silence
 from transopt.proof.admit import unstable_wall
+from transopt.proof.continuous import AGREEMENT
 from transopt.solvers.choose import solve_certified
 from transopt.solvers.feasibility import least_widening
 from transopt.solvers.options import SolverOptions
@@ -101,9 +102,10 @@ class TestWhatCancelsAtTheSwitchingInstants:
         added = np.abs(problem.stage.plant.D[0, 0] * current).max()
         assert np.abs(run.acceleration_m_s2).max() < 1e-14 * added
         # Both forces are alike, and each of the two counts.
-        assert run.rounding_m_s2 == pytest.approx(16 * np.finfo(float).eps * 2 * added, rel=1e-6)
+        rounding = AGREEMENT * run.scale_m_s2
+        assert rounding == pytest.approx(16 * np.finfo(float).eps * 2 * added, rel=1e-6)
         assert run.shortfalls(problem, command, predicted) == []
-        off = run.shortfalls(problem, command, predicted + 1.1 * run.rounding_m_s2)
+        off = run.shortfalls(problem, command, predicted + 1.1 * rounding)
         assert len(off) == 1
         assert "differs from the predicted" in off[0]
 
