@@ -27,7 +27,7 @@ SOLVER_CALLS = [
 RECURSION_CALLS = [
     *("tr_most_states", "tr_most_width", "tr_most_largest", "tr_most_few", "tr_most_dense"),
     *("tr_run", "tr_forwards", "tr_backwards", "tr_courses", "tr_largest", "tr_bilinear", "tr_square_means"),
-    *("tr_heated", "tr_spline", "tr_spline_even", "tr_struck"),
+    *("tr_heated", "tr_spline", "tr_spline_even", "tr_struck", "tr_walled"),
 ]
 CORE_CALLS = [
     *("td_probe_device_size", "td_probe_decoder_size", "td_probe_start", "td_probe_step", "td_probe_decode"),

@@ -31,11 +31,7 @@ def _library() -> ct.CDLL | None:
     if not file.exists():
         return None
     library = ct.CDLL(str(file))
-    if not hasattr(library, "tr_most_few"):
-        return None  # built from another version: not usable
     most = {"states": MOST_STATES, "width": MOST_WIDTH, "largest": MOST_LARGEST, "few": MOST_FEW, "dense": MOST_DENSE}
-    if any(getattr(library, f"tr_most_{name}")() != number for name, number in most.items()):
-        return None
     size, count, array = ct.c_size_t, ct.c_int, ct.c_void_p
     takes: dict[str, tuple[type, ...]] = {
         "tr_run": (size, count, array, array),
@@ -49,7 +45,13 @@ def _library() -> ct.CDLL | None:
         "tr_spline": (size, size, array, size, *(array,) * 3),
         "tr_spline_even": (size, array, size, ct.c_double, ct.c_double, array, array),
         "tr_struck": (size, count, count, size, *(array,) * 6),
+        "tr_walled": (size, size, *(count,) * 3, size, size, *(array,) * 8),
     }
+    calls = [*takes, *(f"tr_most_{name}" for name in most)]
+    if not all(hasattr(library, name) for name in calls):
+        return None  # built from another version: not usable
+    if any(getattr(library, f"tr_most_{name}")() != number for name, number in most.items()):
+        return None
     for name, given in takes.items():
         call = getattr(library, name)
         call.restype, call.argtypes = None, given

@@ -12,6 +12,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from transopt.base import recursions
 from transopt.base.errors import InputError
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray, integral
@@ -203,3 +204,61 @@ class FeedbackLoop:
         self._read.append((self._position, self._velocity))
         earlier, self._current = self._current, self._wall.current(*self._read.pop(0))
         return np.asarray(self._now * self._current + self._before * earlier)
+
+    def close(
+        self,
+        system: tuple[FloatArray, FloatArray, FloatArray],
+        nominal_m: FloatArray,
+        commands: FloatArray,
+        *,
+        count_m: float = 0.0,
+    ) -> FloatArray:
+        """Add the feedback to the commands of M taps, tick by tick from the first on, on a device that starts at rest.
+
+        The device is x_(k+1) = A x_k + B u_k. The p commands u_k that act at tick k are those of number k to k + p - 1.
+
+        Parameters
+        ----------
+        system : A (n, n), B (n, p) and the row (p + n,) of the encoder's deviation over u_k and x_k.
+        nominal_m : (M, K) nominal encoder position at the ticks.
+        commands : (M, behind + K) contiguous, that of tick k at number behind + k; changed in place.
+        count_m : resolution to which the encoder is rounded; 0 does not round.
+
+        Returns
+        -------
+        (M, K) deviations of the encoder from its nominal positions at the ticks, before rounding.
+        """
+        (A, B, encoder), (M, K), wall = system, nominal_m.shape, self._wall
+        (n, p), late = B.shape, wall.latency_ticks
+        if recursions.COMPILED is None or n > recursions.MOST_STATES:
+            return self._closed(system, nominal_m, commands, count_m)
+        S, current, found = np.zeros((p + n, n + -n % 8)), np.empty((M, late + K)), np.empty((M, K))
+        S[:p, :n], S[p:, :n] = B.T, A.T
+        for number, read in enumerate(self._read):
+            current[:, number] = wall.current(*read)
+        force = wall.stiffness_N_m, wall.damping_N_s_m, wall.force_per_current_N_A, MAX_FEEDBACK_A
+        law = self._smoothing, self._dt_s, *force, self._now, self._before, count_m
+        before = np.stack([self._position, self._velocity], axis=1)
+        given = [np.ascontiguousarray(each, dtype=float) for each in (S, encoder, law, nominal_m, before)]
+        behind, arrays = commands.shape[1] - K, (*given, current, commands, found)
+        recursions.COMPILED.tr_walled(M, K, n, p, S.shape[1], behind, late, *map(recursions.address, arrays))
+        return found
+
+    def _closed(
+        self,
+        system: tuple[FloatArray, FloatArray, FloatArray],
+        nominal_m: FloatArray,
+        commands: FloatArray,
+        count_m: float,
+    ) -> FloatArray:
+        """`close` without the extension."""
+        (A, B, encoder), (M, K) = system, nominal_m.shape
+        p, behind = B.shape[1], commands.shape[1] - K
+        x, found = np.zeros((M, len(A))), np.empty((M, K))
+        with np.errstate(over="ignore", invalid="ignore"):  # the loop of an unstable wall overflows
+            for k in range(K):
+                found[:, k] = commands[:, k : k + p] @ encoder[:p] + x @ encoder[p:]
+                z = nominal_m[:, k] + found[:, k]
+                commands[:, behind + k] += self.step(np.round(z / count_m) * count_m if count_m else z)
+                x = x @ A.T + commands[:, k : k + p] @ B.T
+        return found

@@ -27,24 +27,19 @@ def rendered(problem: TransientProblem, transient: FloatArray) -> FloatArray:
 
 def _rendered(problem: TransientProblem, transient: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Command and encoder reading, (N + M,) each, of the wall's closed loop simulated tick by tick."""
-    stage, wall, M = problem.stage, problem.wall, problem.grid.after_stages
-    command = np.append(transient, np.zeros(M))
-    course = np.zeros(command.size)
+    stage, wall, grid = problem.stage, problem.wall, problem.grid
+    late = stage.whole_delay + 1  # ticks from a command to the first reading that depends on it
+    commands = np.zeros((1, late + grid.stages + grid.after_stages))
+    commands[0, late : late + grid.stages] = transient
     if wall is None:
-        return command, course
+        return commands[0, late:], np.zeros(commands.size - late)
     assert stage.Cp is not None
     assert stage.Dp is not None
-    loop = FeedbackLoop(
-        wall.wall, stage.amplifier, problem.grid.dt_s, wall.nominal_m[:1], np.array([wall.approach_m_s])
-    )
-    late, x = stage.whole_delay + 1, np.zeros((stage.A.shape[0], 1))
-    with np.errstate(over="ignore", invalid="ignore"):  # the loop of an unstable wall overflows
-        for k in range(command.size):
-            command[k] += loop.step(wall.nominal_m[k : k + 1] + course[k])[0]
-            if k + late < command.size:
-                course[k + late] = (stage.Cp @ x + stage.Dp * command[k])[0, 0]
-            x = stage.A @ x + stage.B * command[k]
-    return command, course
+    nominal = wall.nominal_m[None]
+    loop = FeedbackLoop(wall.wall, stage.amplifier, grid.dt_s, nominal[:, 0], np.array([wall.approach_m_s]))
+    encoder = np.append(stage.Dp, stage.Cp)
+    course = loop.close((stage.A, stage.B, encoder), nominal, commands)
+    return commands[0, late:], course[0]
 
 
 def encoder_course(problem: TransientProblem, command: FloatArray) -> FloatArray:

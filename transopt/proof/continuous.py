@@ -15,6 +15,7 @@ import numpy as np
 
 from transopt.base.recursions import LinearSystem
 from transopt.base.signals import FloatArray
+from transopt.plant.amplifier import Amplifier
 from transopt.plant.discretise import StageModel, split_delay
 from transopt.plant.time_grid import TimeGrid
 from transopt.plant.wall import FeedbackLoop, HandOver
@@ -117,28 +118,18 @@ class Loop:
     walls: Sequence[HandOver]
     count_m: float
 
-    @cached_property
-    def _nominal_m(self) -> FloatArray:
-        """(K, M) z_nom at the ticks of window and tail."""
-        return np.stack([wall.nominal_m for wall in self.walls], axis=1)
-
-    def nominal(self, k: int) -> FloatArray:
-        """(M,) z_nom at tick k, extrapolated linearly after the last one."""
-        z = self._nominal_m
-        last = z.shape[0] - 1
-        return np.asarray(z[k] if k <= last else z[last] + (k - last) * (z[last] - z[last - 1]))
-
-    def read(self, k: int, deviation_m: FloatArray) -> FloatArray:
-        """(M,) encoder readings at tick k for deviations y (M,) from the nominal motion."""
-        z = self.nominal(k) + deviation_m
-        return np.asarray(np.round(z / self.count_m) * self.count_m) if self.count_m else z
-
-    def start(self, stage: StageModel, dt_s: float) -> FeedbackLoop:
-        """The wall's law in its state before the first tick."""
-        wall = self.walls[0].wall
-        approach = np.array([wall.approach_m_s for wall in self.walls])
-        first = self.read(0, np.zeros(approach.size))
-        return FeedbackLoop(wall, stage.amplifier, dt_s, first, approach)
+    def close(self, period: "Period", amplifier: Amplifier | None, commands: FloatArray) -> None:
+        """Add the feedback to the commands (M, behind + periods) of a period's segments, in place."""
+        dt_s, z = period.grid.dt_s, np.stack([each.nominal_m for each in self.walls])[:, : period.periods]
+        # After the last known tick the nominal motion goes on at constant speed.
+        beyond = np.arange(1, period.periods - z.shape[1] + 1)
+        nominal = np.hstack([z, z[:, -1:] + beyond * (z[:, -1:] - z[:, -2:-1])])
+        first = np.round(z[:, 0] / self.count_m) * self.count_m if self.count_m else z[:, 0]
+        approach = np.array([each.approach_m_s for each in self.walls])
+        A, B = period.step
+        encoder = np.append(np.zeros(B.shape[1]), period.flow.encoder)
+        law = FeedbackLoop(self.walls[0].wall, amplifier, dt_s, first, approach)
+        law.close((A, B, encoder), nominal, commands, count_m=self.count_m)
 
 
 @dataclass(frozen=True)
@@ -398,12 +389,8 @@ def _play(stage: StageModel, commands: FloatArray, period: Period, loop: Loop | 
     # Before the first command and after the waveform the command is zero, or the wall's feedback.
     issued = period.issued(commands.reshape(M, -1, N))
     if loop is not None:
-        (A, B), encoder, only = period.step, period.flow.encoder, issued[:, 0]
-        x, feedback = np.zeros((M, len(A))), loop.start(stage, period.grid.dt_s)
-        for k in range(periods):
-            only[:, behind + k] += feedback.step(loop.read(k, x @ encoder))
-            x = x @ A.T + only[:, k : k + 1 + late] @ B.T
-        commands = only[:, behind : behind + N]
+        loop.close(period, stage.amplifier, issued[:, 0])
+        commands = issued[:, 0, behind : behind + N]
     acting = np.concatenate([issued[..., by : by + periods] for by in range(1 + late)], axis=1)
     return Course(period, acting, commands, np.full(M, np.nan))
 

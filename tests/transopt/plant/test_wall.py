@@ -9,6 +9,7 @@ from scipy.linalg import expm
 from problems.stress.judge import played
 from tests.conftest import WalledMaker
 from transopt.base.errors import InputError
+from transopt.base.recursions import LinearSystem
 from transopt.design.optimum import optimum
 from transopt.plant.amplifier import Amplifier, prefilter
 from transopt.plant.discretise import discretise
@@ -110,6 +111,42 @@ class TestLaw:
             np.testing.assert_allclose(stepped[tap], expected, atol=1e-11)
             if amplifier is not None:
                 np.testing.assert_allclose(prefilter(law, amplifier, DT_S), expected, atol=1e-11)
+
+    @pytest.mark.usefixtures("way")
+    @pytest.mark.parametrize(("latency", "behind"), [(0, 1), (1, 2), (3, 4), (90, 1)])
+    @pytest.mark.parametrize("amplifier", [AMPLIFIER, None])
+    @pytest.mark.parametrize("count_m", [0.0, COUNT_m])
+    def test_a_closed_loop_obeys_law_and_device(
+        self, latency: int, behind: int, amplifier: Amplifier | None, count_m: float
+    ) -> None:
+        """The encoder reads what the device does under the closed commands, and these are what the law asks of it."""
+        wall, (nominal, speeds) = replace(WALL, latency_ticks=latency), courses()
+        (M, K), random = nominal.shape, np.random.default_rng(latency)
+        A, B = 0.3 * random.standard_normal((3, 3)), random.standard_normal((3, 2))
+        encoder = 1e-6 * np.append(np.zeros(2), random.standard_normal(3))
+        own = random.uniform(-0.1, 0.1, (M, behind + K))
+        closed = own.copy()
+        first = np.round(nominal[:, 0] / count_m) * count_m if count_m else nominal[:, 0]
+        loop = FeedbackLoop(wall, amplifier, DT_S, first, speeds)
+        off = loop.close((A, B, encoder), nominal, closed, count_m=count_m)
+        acting = np.stack([closed[:, :K], closed[:, 1 : 1 + K]], axis=1)
+        device = LinearSystem(A, B, encoder[None, 2:], encoder[None, :2])
+        np.testing.assert_allclose(off, device.outputs(acting)[:, 0], rtol=0, atol=1e-15)
+        z = nominal + off
+        z = np.round(z / count_m) * count_m if count_m else z
+        stepped = FeedbackLoop(wall, amplifier, DT_S, first, speeds)
+        asked = np.stack([stepped.step(z[:, k]) for k in range(K)], axis=1)
+        assert asked.max() > 0.1
+        np.testing.assert_allclose(closed[:, behind:], own[:, behind:] + asked, rtol=0, atol=1e-11)
+        np.testing.assert_array_equal(closed[:, :behind], own[:, :behind])
+
+    @pytest.mark.usefixtures("way")
+    def test_a_closed_loop_that_grows_by_itself_is_not_hidden(self) -> None:
+        nominal, commands = np.full((1, 2000), -COUNT_m), np.zeros((1, 2001))
+        loop = FeedbackLoop(WALL, None, DT_S, nominal[:, 0], np.array([0.1]))
+        off = loop.close((np.array([[-2.0]]), np.array([[1.0]]), np.array([0.0, 1.0])), nominal, commands)
+        assert not np.isfinite(off).all()
+        assert np.nanmax(commands) < 1e101
 
     def test_bad_walls_are_refused(self) -> None:
         with pytest.raises(InputError, match="feedback: stiffness_N_m = -1: must be >= 0"):

@@ -1,5 +1,6 @@
 /* Linear recursions over the stages of a transient, linear systems with inputs and outputs, the temperatures of a coil,
- * a linear system that strikes a contact, and a spline, whose slopes satisfy such a recursion. Recursions work in
+ * a linear system that strikes a contact or that a virtual wall pushes, and a spline, whose slopes satisfy such a
+ * recursion. Recursions work in
  * place: x holds the forcing of every stage at first and the states at the end. All arrays are row by row. C99 without
  * dependencies, no global state, no allocation.
  */
@@ -642,5 +643,42 @@ void tr_struck(size_t steps, int n, int outputs, size_t columns, const int *star
         for (int i = 0; i < n; i++) memcpy(z + i, state + (size_t)i * columns + first, used * sizeof(double));
         go(steps, n, outputs, columns, &rows, contact, z, found + first, used);
         for (int i = 0; i < n; i++) memcpy(state + (size_t)i * columns + first, z + i, used * sizeof(double));
+    }
+}
+
+/* The numbers of a virtual wall's law: the coefficient of its derivative filter, the servo period, stiffness, damping,
+ * force per current, the largest current, the two coefficients of the amplifier's prefilter, the encoder's count. */
+enum { SMOOTHING, PERIOD, STIFFNESS, DAMPING, FORCE, LARGEST, NOW, BEFORE, COUNT };
+
+/* Courses of x_(k+1) = A x_k + B u_k from rest, to whose commands a virtual wall adds its feedback tick by tick.
+ * At tick k the `inputs` commands from number k on act, and the feedback is added to that of number behind + k; S
+ * (inputs + m, width) holds the columns of [B A], padded with zeros. The encoder reads nominal_k + encoder (u_k; x_k),
+ * with those deviations kept in read; nominal and read (courses, count), command (courses, behind + count). A reading
+ * counts `late` ticks later: current (courses, late + count) has the wall's current of the readings before the first
+ * tick at first. State (courses, 2) is the encoder's position and filtered velocity before the first tick. */
+void tr_walled(size_t courses, size_t count, int m, int inputs, int width, size_t behind, size_t late, const double *S,
+               const double *encoder, const double *law, const double *nominal, const double *state, double *current,
+               double *command, double *read)
+{
+    for (size_t c = 0; c < courses; c++) {
+        double x[MOST_STATES] = {0}, next[MOST_STATES], position = state[2 * c], velocity = state[2 * c + 1];
+        for (size_t k = 0; k < count; k++) {
+            double off = 0;
+            for (int i = 0; i < inputs; i++) off += encoder[i] * command[k + (size_t)i];
+            for (int i = 0; i < m; i++) off += encoder[inputs + i] * x[i];
+            double z = nominal[k] + off;
+            if (law[COUNT] > 0) z = rint(z / law[COUNT]) * law[COUNT];
+            velocity = law[SMOOTHING] * velocity + (1 - law[SMOOTHING]) * (z - position) / law[PERIOD];
+            position = z;
+            const double wanted = -(law[STIFFNESS] * z + law[DAMPING] * velocity) / law[FORCE];
+            current[late + k] = z < 0 ? (wanted < 0 ? 0 : wanted > law[LARGEST] ? law[LARGEST] : wanted) : 0;
+            command[behind + k] += law[NOW] * current[k] + (k ? law[BEFORE] * current[k - 1] : 0);
+            read[k] = off;
+            memset(next, 0, (size_t)width * sizeof *next);
+            add(inputs, width, S, command + k, next);
+            add(m, width, S + inputs * width, x, next);
+            memcpy(x, next, (size_t)width * sizeof *next);
+        }
+        nominal += count, read += count, current += late + count, command += behind + count;
     }
 }
