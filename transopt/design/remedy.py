@@ -157,9 +157,9 @@ class _Search:
         return [self.best(way) for way in (*at_once, *others) if way in at_once or not self.late]
 
     def strengths(self, way: _Way) -> tuple[float, ...]:
-        """Strengths of a way; a guided one includes the hint."""
+        """Strengths of a way; a guided one includes the hint, and the strength that shows it to be the least."""
         if way.guided and self.hint > 1:
-            return tuple(sorted({*way.strengths, self.hint}))
+            return tuple(sorted({*way.strengths, self.hint, max(self.hint / NEAR, math.sqrt(self.hint))}))
         return way.strengths
 
     def first(self, way: _Way) -> float:
@@ -188,8 +188,10 @@ class _Search:
                 high = middle
             else:
                 low = middle
-            # A number that does not help close to zero does not help in between: try the largest strength next.
-            middle = high - 1 if way.vanishes and high == len(strengths) else (low + high) // 2
+            # A number that does not help close to zero does not help in between, and a hint that helps is nearly the
+            # least strength: the largest strength, or the one just below the hint, is tried next.
+            nearly = way.vanishes if high == len(strengths) else low < 0 and strengths[high] == self.hint
+            middle = high - 1 if nearly else (low + high) // 2
         if high == len(strengths):
             return _remedy(way.at(strengths[farthest]), solved=False)
         weak, strong = strengths[low] if low >= 0 else 1.0, strengths[high]
@@ -262,6 +264,7 @@ def _ways(entry: Adjustable, problem: TransientProblem, status: Status, played: 
     blamed = list(hopeless or problem.limits)
     if status is Status.HAND_OVER:
         blamed = [limit for limit in blamed if limit.linear]
+        blamed = [limit for limit in blamed if played.leaves(limit)] or blamed
     if status is Status.UNSTABLE_WALL:
         blamed = []
     if status is Status.UNRESOLVED:
@@ -272,7 +275,11 @@ def _ways(entry: Adjustable, problem: TransientProblem, status: Status, played: 
     softer = movable([(key, False) for key in (STIFFNESS, DAMPING, LATENCY)])
     if hopeless:
         softer = []
-    alone = [_way(entry, [move]) for move in ([*softer, *wider] if status is Status.HAND_OVER else [*wider, *softer])]
+    first = [*wider, *softer]
+    if status is Status.HAND_OVER:
+        # Of several limits that the wall alone exceeds, no single one helps.
+        first = [*softer, *(wider if len(wider) == 1 else [])]
+    alone = [_way(entry, [move]) for move in first]
     yield [replace(weaker, guided=False), *alone] if status is Status.UNRESOLVED else alone
     rising = [move for move in wider if move[1]]
     both = [move for move in softer if move[0] != LATENCY]

@@ -213,9 +213,9 @@ class FeedbackLoop:
         *,
         count_m: float = 0.0,
     ) -> FloatArray:
-        """Add the feedback to the commands of M taps, tick by tick from the first on, on a device that starts at rest.
+        """Add the feedback to the commands of M taps tick by tick, on a device that starts at rest.
 
-        The device is x_(k+1) = A x_k + B u_k. The p commands u_k that act at tick k are those of number k to k + p - 1.
+        The device is x_(k+1) = A x_k + B u_k; at tick k the p commands u_k of number k to k + p - 1 act.
 
         Parameters
         ----------
