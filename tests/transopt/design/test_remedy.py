@@ -35,6 +35,7 @@ SHORT = Horizon(stages=40)
 STARVED = StressCase("rail", current=Current(supply=0.01, limit_A=1.0), horizon=SHORT)
 LEANT_ON = StressCase("wall", current=Current(limit_A=0.1), horizon=SHORT, surface=Surface(2000.0))
 WARM = drawn(31337, 834)  # a coil that starts so near its limit that the ripple alone is too much
+LATE = drawn(27112026, 24)  # a wall that asks for 2500 times the current and the command, after the waveform
 BETWEEN = drawn(555, 50)  # a coil that passes its limit within a servo period, and not at any instant
 OPTIONS = SolverOptions()
 ONE_ENTRY = {"grid.speeds_m_s": [0.4], "grid.grips_N": [5.0]}
@@ -120,6 +121,28 @@ class TestSearch:
         for answer in answers:
             assert answer.solved
             assert answer.values["weights.rho"] == remedy.STEADIER[-1]
+
+    def test_limits_that_the_wall_alone_exceeds_are_widened_together_by_the_factor_that_the_replay_names(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        (entry,) = design([LATE.posed()])
+        assert entry.status is Status.HAND_OVER
+        soft = {"feedback.stiffness_N_m", "feedback.damping_N_s_m"}
+        assert sum(entry.played.leaves(limit) for limit in entry.problem.limits) == 2
+        over = max(entry.played.peak(each) / each.stated for each in entry.problem.limits if each.linear)
+
+        def enough(values: Values) -> bool:
+            by = {key: (value or 0.0) / (LATE.value(key) or 1.0) for key, value in values.items()}
+            return len(by) == 2 and (min(by.values()) >= over or (set(by) == soft and max(by.values()) <= 1 / over))
+
+        answers, asked = self.found(monkeypatch, LATE, enough)
+        assert [answer.solved for answer in answers] == [True, True]
+        for answer in answers:
+            for key, value in answer.values.items():
+                by = (value or 0.0) / (LATE.value(key) or 1.0)
+                assert over <= max(by, 1 / by) <= 1.05 * over
+        assert all(len(values) == 2 or set(values) <= {*soft, "feedback.latency_ticks"} for values in asked)
+        assert len(asked) <= 10
 
     def test_what_helps_nothing_is_said_to_have_been_tried(self, monkeypatch: pytest.MonkeyPatch) -> None:
         answers, asked = self.found(monkeypatch, LEANT_ON, lambda _: False)
