@@ -264,7 +264,6 @@ def _ways(entry: Adjustable, problem: TransientProblem, status: Status, played: 
     blamed = list(hopeless or problem.limits)
     if status is Status.HAND_OVER:
         blamed = [limit for limit in blamed if limit.linear]
-        blamed = [limit for limit in blamed if played.leaves(limit)] or blamed
     if status is Status.UNSTABLE_WALL:
         blamed = []
     if status is Status.UNRESOLVED:
@@ -278,7 +277,8 @@ def _ways(entry: Adjustable, problem: TransientProblem, status: Status, played: 
     first = [*wider, *softer]
     if status is Status.HAND_OVER:
         # Of several limits that the wall alone exceeds, no single one helps.
-        first = [*softer, *(wider if len(wider) == 1 else [])]
+        several = sum(played.leaves(limit) for limit in blamed) > 1
+        first = softer if several else [*softer, *wider]
     alone = [_way(entry, [move]) for move in first]
     yield [replace(weaker, guided=False), *alone] if status is Status.UNRESOLVED else alone
     rising = [move for move in wider if move[1]]
