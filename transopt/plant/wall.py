@@ -9,7 +9,6 @@ counts the current with the opposite sign.
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from transopt.base import recursions
@@ -67,6 +66,12 @@ class Wall:
         """Coefficient a of the derivative filter."""
         return float(np.exp(-2 * np.pi * self.derivative_filter_Hz * dt_s))
 
+    @staticmethod
+    def _filtered(values: FloatArray, a: float) -> FloatArray:
+        """(..., N) output of the derivative filter with coefficient a, from rest."""
+        recursion, courses = recursions.Recursion(np.array([[a]])), (1 - a) * values.reshape(-1, values.shape[-1], 1)
+        return np.stack([recursion.run(course) for course in courses]).reshape(values.shape)
+
     def measured(self, encoder_m: FloatArray, dt_s: float, approach_m_s: float) -> tuple[FloatArray, FloatArray]:
         """Position [m] and filtered velocity [m/s] that enter the law at each tick, (..., N) each.
 
@@ -81,9 +86,9 @@ class Wall:
         earlier = encoder_m[..., :1] + approach_m_s * dt_s * steps
         z = np.concatenate([earlier, encoder_m], axis=-1)
         a = self.smoothing(dt_s)
-        settled = np.full((*encoder_m.shape[:-1], 1), -a * approach_m_s)
-        difference = np.diff(z, axis=-1) / dt_s
-        velocity, _ = scipy.signal.lfilter([1 - a], [1.0, -a], difference, axis=-1, zi=settled)
+        # Relative to the approach the filter starts from rest.
+        difference = np.diff(z, axis=-1) / dt_s + approach_m_s
+        velocity = self._filtered(difference, a) - approach_m_s
         N = encoder_m.shape[-1]
         return z[..., 1 : N + 1], velocity[..., :N]
 
@@ -110,7 +115,7 @@ class Wall:
         """(N,) gradient by the encoder readings for a gradient by `wanted`; the transpose of `linear`."""
         g = earlier_by(self.latency_ticks, by_wanted) / -self.force_per_current_N_A
         a = self.smoothing(dt_s)
-        filtered = scipy.signal.lfilter([1 - a], [1.0, -a], g[::-1])[::-1] / dt_s
+        filtered = self._filtered(g[::-1], a)[::-1] / dt_s
         difference = filtered - np.append(filtered[1:], 0.0)
         return np.asarray(self.stiffness_N_m * g + self.damping_N_s_m * difference)
 
