@@ -276,7 +276,7 @@ def _ways(entry: Adjustable, problem: TransientProblem, status: Status, played: 
         softer = []
     first = [*wider, *softer]
     if status is Status.HAND_OVER:
-        # Of several limits that the wall alone exceeds, no single one helps.
+        # If the wall alone exceeds several limits, no single one helps.
         several = sum(played.leaves(limit) for limit in blamed) > 1
         first = softer if several else [*softer, *wider]
     alone = [_way(entry, [move]) for move in first]
