@@ -274,12 +274,7 @@ def _ways(entry: Adjustable, problem: TransientProblem, status: Status, played: 
     softer = movable([(key, False) for key in (STIFFNESS, DAMPING, LATENCY)])
     if hopeless:
         softer = []
-    first = [*wider, *softer]
-    if status is Status.HAND_OVER:
-        # If the wall alone exceeds several limits, no single one helps.
-        several = sum(played.leaves(limit) for limit in blamed) > 1
-        first = softer if several else [*softer, *wider]
-    alone = [_way(entry, [move]) for move in first]
+    alone = [_way(entry, [move]) for move in ([*softer, *wider] if status is Status.HAND_OVER else [*wider, *softer])]
     yield [replace(weaker, guided=False), *alone] if status is Status.UNRESOLVED else alone
     rising = [move for move in wider if move[1]]
     both = [move for move in softer if move[0] != LATENCY]
