@@ -221,8 +221,7 @@ class Entry(Answered):
     @property
     def off_replay(self) -> float:
         """Largest difference of predicted and replayed y'', relative to its peak: the stage model's own error."""
-        off = float(np.abs(self.predicted_m_s2 - self.played.acceleration_m_s2).max())
-        return off / max(self.played.scale_m_s2, float(np.finfo(float).tiny))
+        return self.played.off(self.predicted_m_s2)
 
     @property
     def attained(self) -> Attained | None:

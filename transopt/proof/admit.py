@@ -3,6 +3,7 @@
 import numpy as np
 
 from transopt.base.signals import FloatArray
+from transopt.plant.nonlinear_stage import NonlinearStage
 from transopt.plant.wall import Wall
 from transopt.problem.answer import Status
 from transopt.problem.limits import hand_over
@@ -10,7 +11,7 @@ from transopt.problem.limits.limit import Limit, tolerated
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.problem.wall_ticks import encoder_course, pressing
-from transopt.proof.continuous import after_s
+from transopt.proof.continuous import AGREEMENT, after_s
 from transopt.proof.designed import Designed
 from transopt.proof.replay import Replay
 
@@ -73,7 +74,25 @@ def _admitted_as_stationary(designed: Designed, played: Replay) -> tuple[Status,
         return answer.status, [f"IPOPT: {answer.message}", *shortfalls]
     if not certificate.is_stationary:
         return Status.NOT_CERTIFIED, [certificate.shortfall, *shortfalls]
+    assert designed.nonlinear is not None
+    if not played.off(predicted) <= AGREEMENT:
+        shortfalls.append(_too_sharp(designed.nonlinear.stage))
     return (Status.REPLAY_VIOLATION, shortfalls) if shortfalls else (Status.STATIONARY, [])
+
+
+def _too_sharp(stage: NonlinearStage) -> str:
+    """Message if the steps of the stage do not follow its plant: what to change."""
+    step_s, plant = stage.dt_s / stage.substeps, stage.plant
+    lag_s = 0.0 if plant.R_ohm is None else plant.L_H / plant.R_ohm
+    if 0 < lag_s < step_s:
+        return (
+            f"the coil's L / R of {lag_s:.2g} s is below the {step_s:.2g} s of an integration step: leave "
+            "model.L_H out, or lower time.dt_s"
+        )
+    return (
+        f"model.nonlinear turns too sharply for integration steps of {step_s:.2g} s: lower time.dt_s, or make the "
+        "formulas smoother (friction: a larger v0 in tanh(v/v0))"
+    )
 
 
 def _pushes_elsewhere(played: Replay, problem: TransientProblem, command: FloatArray) -> str:

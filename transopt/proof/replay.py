@@ -99,11 +99,14 @@ class Replay:
             found.append(
                 f"with the wall's feedback the command differs from the predicted one by {feedback_off:.1e} A"
             )
-        scale = max(self.scale_m_s2, 1e-9)
-        difference = float(np.abs(self.acceleration_m_s2 - predicted_m_s2).max()) / scale
+        difference = self.off(predicted_m_s2)
         if not difference <= AGREEMENT:
             found.append(f"replayed acceleration differs from the predicted one by {difference:.1e} of its peak")
         return found
+
+    def off(self, predicted_m_s2: FloatArray) -> float:
+        """Largest difference of y'' (N,) from a predicted one, relative to its peak."""
+        return float(np.abs(self.acceleration_m_s2 - predicted_m_s2).max()) / max(self.scale_m_s2, 1e-9)
 
 
 def replayed_figures(

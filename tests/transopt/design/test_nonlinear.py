@@ -23,6 +23,8 @@ from transopt.proof.nonlinear_replay import replay_nonlinear
 from transopt.scene.builtin import load_scene
 from transopt.solvers.options import SolverOptions
 
+ROUNDER = ("[limits]", 'friction = "0.01*tanh(v/1e-2)"\n[limits]')
+
 
 @pytest.fixture(scope="module")
 def design(tmp_path_factory: pytest.TempPathFactory) -> Build:
@@ -116,6 +118,23 @@ class TestRefusedAnswer:
     def test_too_few_iterations(self, tmp_path: Path) -> None:
         made = design_nonlinear(nonlinear_scene(tmp_path), options=SolverOptions(max_iterations=2))
         assert made.entries[0][0].status is Status.ITERATION_LIMIT
+
+    @pytest.mark.parametrize(
+        ("sharp", "said", "mended"),
+        [
+            (("L_H = 0.0005", "L_H = 8e-6"), "leave model.L_H out", ("L_H = 0.0005", "")),
+            (("[limits]", 'friction = "0.01*tanh(v/2e-4)"\n[limits]'), "a larger v0 in tanh", ROUNDER),
+        ],
+        ids=["coil", "friction"],
+    )
+    def test_what_turns_too_sharply_says_what_mends_it(
+        self, tmp_path: Path, sharp: tuple[str, str], said: str, mended: tuple[str, str]
+    ) -> None:
+        [entry] = design_nonlinear(nonlinear_scene(tmp_path, sharp)).all_entries()
+        assert entry.status is Status.REPLAY_VIOLATION
+        assert said in entry.shortfalls[-1]
+        [entry] = design_nonlinear(nonlinear_scene(tmp_path, mended)).all_entries()
+        assert entry.status is Status.STATIONARY
 
 
 class TestScene:
