@@ -310,7 +310,14 @@ def transients_figure(drawn: Transients) -> Figure:
     for axes, part in zip(panels[0, 0], parts, strict=True):
         beyond_ms = MARGIN / part.share * (part.end_ms - part.start_ms)
         axes.set_xlim(part.start_ms - beyond_ms * (part is parts[0]), part.end_ms + beyond_ms * (part is parts[-1]))
-        axes.xaxis.set_major_locator(MaxNLocator(max(round(6 * part.share), 3), steps=TICK_STEPS, min_n_ticks=1))
+        # A label at the beginning of a narrow panel would lie on that at the end of the panel before it.
+        at = MaxNLocator(
+            max(round(6 * part.share), 3),
+            steps=TICK_STEPS,
+            min_n_ticks=1,
+            prune=None if part is parts[0] else "lower",
+        )
+        axes.xaxis.set_major_locator(at)
     for axes in panels[:, 0, 0]:
         axes.yaxis.set_major_locator(MaxNLocator(6, steps=TICK_STEPS))
     panels[0, 0, 0].set_ylabel("acceleration [g]", fontsize=LABEL_PT)

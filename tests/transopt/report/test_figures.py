@@ -14,16 +14,19 @@ from matplotlib.patches import Rectangle
 from matplotlib.text import Text
 
 from tests.benches.libraries import resized
+from transopt.base import axes as entries
 from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
 from transopt.design.batch import Baselines
 from transopt.design.build import Build
 from transopt.library.library import Library
 from transopt.plant.chain import Link, chain
+from transopt.plant.state_space import VOLTAGE_INPUT
+from transopt.plant.time_grid import TimeGrid
 from transopt.problem.answer import Status
 from transopt.recordings.recording import Recording
 from transopt.recordings.tap import PreparedTap, prepare
 from transopt.report.figures import bode_figure, method_figure, taps_figure
-from transopt.report.transients import library_figure
+from transopt.report.transients import Transients, library_figure, transients_figure
 from transopt.scene.scene import Scene
 
 LIMIT_A = 4.0
@@ -124,6 +127,16 @@ class TestLibrary:
         assert heights == 2 * (3 * heights[:1] + 3 * heights[3:4])
         lasting = replace(library, target_m_s2=np.ones_like(library.target_m_s2))
         assert len(library_figure(lasting).axes) == 6
+
+    def test_no_label_of_a_narrow_panel_lies_on_that_of_the_panel_before(self) -> None:
+        grid = TimeGrid(dt_s=1e-4, stages=400, lead_s=0.005, delay_s=0.0)
+        target = (grid.switching_times_s < 18e-3).astype(float)[None, None]
+        places, idle = entries.Axes((0.0,), (0.0,), ("thud",)), np.zeros_like(target)
+        figure = transients_figure(Transients(grid, places, VOLTAGE_INPUT, target, target, idle, 1.0, idle, 2))
+        wide, narrow = figure.axes[0], figure.axes[2]
+        ((_, parted), (from_, _)) = wide.get_xlim(), narrow.get_xlim()
+        assert parted == pytest.approx(from_) == pytest.approx(wide.get_xticks()[-1])
+        assert not np.isclose(narrow.get_xticks(), from_).any()
 
     @pytest.mark.parametrize(("speeds", "grips"), [(1, 1), (8, 6)])
     def test_any_size_fits_on_the_paper(self, library: Library, speeds: int, grips: int) -> None:
