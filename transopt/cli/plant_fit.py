@@ -24,6 +24,10 @@ Band = Annotated[
     tuple[float, float] | None,
     typer.Option("--band-Hz", help="Lowest and highest frequency that count. Default: all."),
 ]
+DelayS = Annotated[
+    float,
+    typer.Option("--delay-s", help="Pure delay in the response, taken out; a scene has it as amplifier.delay_s."),
+]
 Resonance = Annotated[
     float | None, typer.Option("--resonance-Hz", help="Resonance by the datasheet: a contradiction is named.")
 ]
@@ -48,10 +52,7 @@ def plant_fit(
         typer.Option("--input", help="What the response is to: current or voltage. Default: the file's, or current."),
     ] = None,
     band_Hz: Band = None,
-    delay_s: Annotated[
-        float,
-        typer.Option("--delay-s", help="Pure delay in the response, taken out; a scene has it as amplifier.delay_s."),
-    ] = 0.0,
+    delay_s: DelayS = 0.0,
     scale: Annotated[float, typer.Option(help="What makes m/s^2 per A or V of the file's numbers.")] = 1.0,
     columns: Annotated[str, typer.Option(help=COLUMNS_HELP)] = "",
     units: Annotated[str, typer.Option(help=UNITS_HELP)] = "",
@@ -71,7 +72,6 @@ def plant_fit(
     """
     import numpy as np
 
-    from transopt.base.sizes import LONGEST_DELAY_S
     from transopt.cli.questions import answered
     from transopt.files.unclear import Answer
     from transopt.identify.measured_response import WORDS, MeasuredResponse, read_response
@@ -79,9 +79,7 @@ def plant_fit(
     from transopt.plant.state_space import CURRENT_INPUT, VOLTAGE_INPUT
 
     inputs = {each.name: each for each in (CURRENT_INPUT, VOLTAGE_INPUT)}
-    _check_options(driven_by, out)
-    if not 0 <= delay_s <= LONGEST_DELAY_S:
-        raise InputError(f"--delay-s {delay_s:g}: must be 0 to {LONGEST_DELAY_S:g} s")
+    _check_options(driven_by, out, delay_s)
 
     def read(answer: Answer) -> MeasuredResponse:
         how = layout(columns, units, answer=answer if channel is None else {"channel": channel, **answer})
@@ -93,7 +91,7 @@ def plant_fit(
     undelayed = measured.response * np.exp(2j * np.pi * f * delay_s)
     fit = fit_response(f, undelayed, order, inputs[driven_by], band_Hz)
     _check_plausible(response, fit, resonance_Hz, rms_g, rms_V if driven_by == "voltage" else rms_A, accept=accept)
-    _say_and_save(fit, f"{order} states to {fit.frequencies_Hz.size} points", measured.notes, out)
+    _say_and_save(fit, f"{order} states to {fit.frequencies_Hz.size} points", measured.notes, out, delay_s)
 
 
 def plant_sweep(
@@ -109,6 +107,7 @@ def plant_sweep(
         typer.Option("--input", help="What drives the plant: voltage or current. Default: the voltage if recorded."),
     ] = None,
     band_Hz: Band = None,
+    delay_s: DelayS = 0.0,
     columns: Annotated[str, typer.Option(help=SWEEP_COLUMNS_HELP)] = "",
     units: Annotated[str, typer.Option(help=SWEEP_UNITS_HELP)] = "",
     rate_Hz: RateHz = None,
@@ -125,20 +124,25 @@ def plant_sweep(
     from transopt.identify.measurement import load_measurement
     from transopt.identify.sweep_fit import fit_sweep
 
-    _check_options(driven_by, out)
-    swept = fit_sweep(load_measurement(sweep, layout(columns, units, rate_Hz)), order, driven_by or "", band_Hz)
+    _check_options(driven_by, out, delay_s)
+    measured = load_measurement(sweep, layout(columns, units, rate_Hz))
+    swept = fit_sweep(measured, order, driven_by or "", band_Hz, delay_s)
     fit = swept.fit
     by_voltage = fit.plant.driven_by.unit == "V"
     _check_plausible(sweep, fit, resonance_Hz, rms_g, rms_V if by_voltage else rms_A, accept=accept)
     made_of = f"{fit.plant.order} states to {swept.answered} of {swept.bands} bands of the sweep"
-    _say_and_save(fit, made_of, swept.notes, out, f"+-{100 * swept.unsure:.2g} % by the record's noise")
+    _say_and_save(fit, made_of, swept.notes, out, delay_s, f"+-{100 * swept.unsure:.2g} % by the record's noise")
 
 
-def _check_options(driven_by: str | None, out: Path) -> None:
+def _check_options(driven_by: str | None, out: Path, delay_s: float) -> None:
+    from transopt.base.sizes import LONGEST_DELAY_S
+
     if driven_by not in (None, "current", "voltage"):
         raise InputError(f"--input {driven_by}: unknown; choose current, voltage")
     if out.suffix.lower() != ".npz":
         raise InputError(f"--out {out}: a plant file that is written ends in .npz")
+    if not 0 <= delay_s <= LONGEST_DELAY_S:
+        raise InputError(f"--delay-s {delay_s:g}: must be 0 to {LONGEST_DELAY_S:g} s")
     terminal.make_folder(out.parent)
 
 
@@ -178,7 +182,9 @@ def _check_plausible(
         terminal.console().print(f"accepted as it is: {wrong}", style="yellow")
 
 
-def _say_and_save(fit: "ResponseFit", states: str, notes: Sequence[str], out: Path, sure: str = "") -> None:
+def _say_and_save(
+    fit: "ResponseFit", states: str, notes: Sequence[str], out: Path, delay_s: float, sure: str = ""
+) -> None:
     """Print what was found, draw it, and write the plant if it may be used."""
     import numpy as np
 
@@ -215,7 +221,9 @@ def _say_and_save(fit: "ResponseFit", states: str, notes: Sequence[str], out: Pa
         raise typer.Exit(1)
     save_plant(fit.plant, out)
     line(f"{out}, {picture.name}")
-    line(f'fit to design with; next, in a scene: [model] with kind = "state_space" and file = "{out.name}"')
+    stated = f'[model] with kind = "state_space" and file = "{out.name}"'
+    delayed = f", and amplifier.delay_s = {delay_s:g}" if delay_s else ""
+    line(f"fit to design with; next, in a scene: {stated}{delayed}")
 
 
 def summary(found: "MeasuredResponse") -> str:

@@ -51,7 +51,11 @@ class SweptFit:
 
 
 def fit_sweep(
-    run: Measurement, order: int | None = None, driven_by: str = "", band_Hz: tuple[float, float] | None = None
+    run: Measurement,
+    order: int | None = None,
+    driven_by: str = "",
+    band_Hz: tuple[float, float] | None = None,
+    delay_s: float = 0.0,
 ) -> SweptFit:
     """Fit a state space from voltage or current to acceleration to a recorded sweep.
 
@@ -61,6 +65,7 @@ def fit_sweep(
     order : number of states; None chooses one of `ORDERS`.
     driven_by : "voltage" or "current"; empty takes the one in the file, and the voltage if it has both.
     band_Hz : lowest and highest frequency that count; None for all.
+    delay_s : pure delay of the acceleration, which is taken out.
 
     Raises
     ------
@@ -80,7 +85,7 @@ def fit_sweep(
             f"{run.name}: the acceleration answers the {name} in {count} of {inside.sum()} bands of frequency, at "
             f"least {LEAST_BINS} are needed: play the sweep louder or longer, and over a wider range"
         )
-    f, G = f[answered], seen.response[answered]
+    f, G = f[answered], (seen.response * np.exp(2j * np.pi * f * delay_s))[answered]
     deviations = np.hypot(seen.deviation[answered], EXACT * np.abs(G).max())
     orders = [order] if order is not None else [each for each in ORDERS if 2 * each + 2 <= count]
     fits, noise = list[ResponseFit](), 1 + CERTAIN / float(np.sqrt(count))

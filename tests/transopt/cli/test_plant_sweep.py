@@ -56,9 +56,16 @@ class Actuator:
 
 
 def record(
-    file: str, seed: int, *, seconds: float = 2.0, noise: float = 0.01, rate_Hz: float = 5e3, **other: float
+    file: str,
+    seed: int,
+    *,
+    seconds: float = 2.0,
+    noise: float = 0.01,
+    rate_Hz: float = 5e3,
+    late: int = 0,
+    **other: float,
 ) -> Actuator:
-    """A logarithmic sweep of 20 to 1000 Hz with noise, an offset and gravity, in volts and g."""
+    """A logarithmic sweep of 20 to 1000 Hz with noise, an offset and gravity, in volts and g, `late` samples late."""
     actuator, random = Actuator(), np.random.default_rng(seed)
     t = np.arange(round(seconds * rate_Hz)) / rate_Hz
     octaves, played_s = np.log(1000 / 20), 0.95 * seconds
@@ -68,7 +75,7 @@ def record(
         return np.where(at_s < played_s, 2.0 * np.sin(phase), 0.0)
 
     u = volts(t[:, None] + np.array([0.0, 0.5, 1.0]) / rate_Hz)
-    a = actuator.acceleration(u, 1 / rate_Hz) / G
+    a = np.roll(actuator.acceleration(u, 1 / rate_Hz) / G, late)
     a = a + 1.0 + noise * np.abs(a).max() * random.standard_normal(t.size)
     measured = u[:, 0] + 0.003 + 2e-3 * random.standard_normal(t.size)
     names = f"time_s,voltage_V,{other.get('named', 'acceleration_g')}"
@@ -114,6 +121,18 @@ voltage_V = 3.0
     )
     Path("mine.toml").write_text(text)
     assert run("solve", "mine.toml", "--no-figures").code == 0
+
+
+def test_a_delay_is_no_state_and_is_taken_out(run: Run) -> None:
+    record("late.csv", 109, late=10)
+    as_it_is = run("plant", "sweep", "late.csv", "--out", "plant.npz", "--order", 2)
+    assert as_it_is.code == 1
+    assert "--delay-s for a phase that falls in proportion to frequency" in as_it_is.out
+    outcome = run("plant", "sweep", "late.csv", "--out", "plant.npz", "--delay-s", "2e-3")
+    assert outcome.code == 0, outcome.out + outcome.err
+    assert 'file = "plant.npz", and amplifier.delay_s = 0.002' in outcome.out
+    assert seen("plant.npz") == pytest.approx((150, 8, Actuator().gain), rel=0.01)
+    assert_refused(run("plant", "sweep", "late.csv", "--out", "p.npz", "--delay-s", "2"), "--delay-s 2: must be 0 to")
 
 
 def test_a_short_sweep_is_named_with_how_long_would_do(run: Run) -> None:
