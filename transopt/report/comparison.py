@@ -135,13 +135,18 @@ def _shown(first: Any, second: Any) -> tuple[str, str]:
     if not (isinstance(first, list) and isinstance(second, list) and max(map(len, texts)) > LONGEST_VALUE):
         ours, theirs = (text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 4]} ..." for text in texts)
         return ours, theirs
+    ours, theirs = (_counted(len(value), "value", "values") for value in (first, second))
     if len(first) != len(second):
-        return f"{len(first)} values", f"{len(second)} values"
+        return ours, theirs
     pairs = [(ours, theirs) for ours, theirs in zip(first, second, strict=True) if ours != theirs]
     tables = [(ours, theirs) for ours, theirs in pairs if isinstance(ours, dict) and isinstance(theirs, dict)]
     named = dict.fromkeys(name for ours, theirs in tables for name in ours if ours[name] != theirs.get(name))
     inside = f" in {', '.join(named)}" if named else ""
-    return f"{len(first)} values", f"{len(second)} values, {len(pairs)} of them others{inside}"
+    return ours, f"{theirs}, {len(pairs)} of them others{inside}"
+
+
+def _counted(count: int, one: str, several: str) -> str:
+    return f"{count} {one if count == 1 else several}"
 
 
 def _text(value: Any) -> str:
@@ -184,10 +189,14 @@ def change_table(found: Comparison) -> Table:
 
 def comparison_summary(found: Comparison) -> str:
     """One line: number of entries, largest change of the error, number of values stated differently."""
-    claims = [f"{name}: {claim}" for name, claim in zip("AB", found.claims, strict=True) if claim]
+    of: dict[str, list[str]] = {}
+    for name, claim in zip("AB", found.claims, strict=True):
+        of.setdefault(claim, []).append(name)
+    claims = [f"{' and '.join(names)}: {claim}" for claim, names in of.items() if claim]
+    entries = _counted(len(found.both), "entry", "entries")
     if found.same_content:
-        return "; ".join([f"{len(found.both)} entries; A and B hold the same content", *claims[:1]])
-    sentences = [f"{len(found.both)} entries in both"]
+        return "; ".join([f"{entries}; A and B hold the same content", *claims])
+    sentences = [f"{entries} in both"]
     sentences += [
         f"{len(nodes)} only in {name}" for name, nodes in (("A", found.only_first), ("B", found.only_second)) if nodes
     ]
@@ -197,7 +206,7 @@ def comparison_summary(found: Comparison) -> str:
         place = worst[0] if len(worst) == 1 else f"{worst[0]} m/s and {worst[1]} N"
         points = f"{100 * change[worst]:+.2g} points" if change[worst] else "nothing"
         sentences.append(f"tap error changes most by {points}, at {place}")
-    sentences.append(f"{len(found.changes)} values stated differently")
+    sentences.append(f"{_counted(len(found.changes), 'value', 'values')} stated differently")
     return "; ".join([*sentences, *claims])
 
 

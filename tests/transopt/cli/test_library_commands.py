@@ -56,7 +56,7 @@ class TestCompare:
     def test_the_same_library_twice(self, run: Run, solved: Path) -> None:
         outcome = run("compare", solved / "library.npz", solved / "library.npz")
         assert outcome.code == 0
-        assert outcome.out.splitlines()[-1] == "1 entries; A and B hold the same content"
+        assert outcome.out.splitlines()[-1] == "1 entry; A and B hold the same content"
         assert "stated differently" not in outcome.out
 
     def test_figures_and_what_was_stated(self, run: Run, solved: Path, quick_scene: Path) -> None:
@@ -68,7 +68,7 @@ class TestCompare:
         before, after = (load_library(Path(file)) for file in files)
         peaks = f"{before.peak_input[0, 0]:.3f} -> {after.peak_input[0, 0]:.3f}"
         last = outcome.out.splitlines()[-1]
-        assert last.startswith("1 entries in both; tap error changes most by ")
+        assert last.startswith("1 entry in both; tap error changes most by ")
         assert "at 0.2 m/s and 3 N" in last
         text = Path("compared.md").read_text()
         for shown in (outcome.out, text):
