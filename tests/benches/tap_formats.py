@@ -119,18 +119,28 @@ def tdms(channels: Labelled, more: Mapping[str, object] | None = None) -> bytes:
     return stream.getvalue()
 
 
-def workbook(rows: list[tuple[object, ...]]) -> bytes:
-    """A workbook of one sheet: the least that the format demands (ECMA-376)."""
+def workbook(*sheets: list[tuple[object, ...]]) -> bytes:
+    """A workbook of sheets named tap1, tap2 and so on: the least that the format demands (ECMA-376)."""
     head, kind = '<?xml version="1.0"?>', "http://schemas.openxmlformats.org"
     office = f"{kind}/officeDocument/2006/relationships"
-    cells = "".join(
-        "<row>"
-        + "".join(
-            f"<c><v>{cell!r}</v></c>" if isinstance(cell, float) else f'<c t="inlineStr"><is><t>{cell}</t></is></c>'
-            for cell in row
+    numbers = range(1, len(sheets) + 1)
+
+    def cells(rows: list[tuple[object, ...]]) -> str:
+        return "".join(
+            "<row>"
+            + "".join(
+                f"<c><v>{cell!r}</v></c>"
+                if isinstance(cell, float)
+                else f'<c t="inlineStr"><is><t>{cell}</t></is></c>'
+                for cell in row
+            )
+            + "</row>"
+            for row in rows
         )
-        + "</row>"
-        for row in rows
+
+    named = "".join(f'<sheet name="tap{k}" sheetId="{k}" r:id="r{k}"/>' for k in numbers)
+    related = "".join(
+        f'<Relationship Id="r{k}" Type="{office}/worksheet" Target="worksheets/sheet{k}.xml"/>' for k in numbers
     )
     parts = {
         "[Content_Types].xml": f'<Types xmlns="{kind}/package/2006/content-types">'
@@ -138,11 +148,14 @@ def workbook(rows: list[tuple[object, ...]]) -> bytes:
         "_rels/.rels": f'<Relationships xmlns="{kind}/package/2006/relationships">'
         f'<Relationship Id="r1" Type="{office}/officeDocument" Target="xl/workbook.xml"/></Relationships>',
         "xl/workbook.xml": f'<workbook xmlns="{kind}/spreadsheetml/2006/main" xmlns:r="{office}">'
-        '<sheets><sheet name="tap" sheetId="1" r:id="r1"/></sheets></workbook>',
+        f"<sheets>{named}</sheets></workbook>",
         "xl/_rels/workbook.xml.rels": f'<Relationships xmlns="{kind}/package/2006/relationships">'
-        f'<Relationship Id="r1" Type="{office}/worksheet" Target="worksheets/sheet1.xml"/></Relationships>',
-        "xl/worksheets/sheet1.xml": f'<worksheet xmlns="{kind}/spreadsheetml/2006/main">'
-        f"<sheetData>{cells}</sheetData></worksheet>",
+        f"{related}</Relationships>",
+        **{
+            f"xl/worksheets/sheet{k}.xml": f'<worksheet xmlns="{kind}/spreadsheetml/2006/main">'
+            f"<sheetData>{cells(rows)}</sheetData></worksheet>"
+            for k, rows in zip(numbers, sheets, strict=True)
+        },
     }
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:

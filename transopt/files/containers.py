@@ -23,6 +23,7 @@ from transopt.base.errors import InputError
 from transopt.base.npz import Archive
 from transopt.base.sizes import MOST_ROWS, MOST_UNPACKED_BYTES, megabytes
 from transopt.files.names import labelled, quote
+from transopt.files.raw_table import MIN_SAMPLES
 from transopt.files.statements import Rate
 
 HDF5_TIME_S = 8.0  # the largest valid file, 268 MB, took 1.3 s
@@ -74,8 +75,12 @@ def _library(module: str, package: str, what: str) -> ModuleType:
         ) from None
 
 
-def sheet_as_text(data: bytes) -> bytes:
+def sheet_as_text(data: bytes, notes: list[str]) -> bytes:
     """The longest sheet of a workbook (.xlsx, .xls, .ods) as text with semicolons between cells.
+
+    Parameters
+    ----------
+    notes : receives a sentence that names the sheet if others could have been meant.
 
     Raises
     ------
@@ -91,7 +96,12 @@ def sheet_as_text(data: bytes) -> bytes:
         sheets = [book.get_sheet_by_name(name) for name in book.sheet_names]
         if sum(sheet.total_height * sheet.total_width for sheet in sheets) > MOST_CELLS:
             raise ValueError(f"more than {MOST_CELLS} cells")
-        rows: list[list[object]] = max((sheet.to_python() for sheet in sheets), key=len, default=[])
+        rows_of: dict[str, list[list[object]]] = {sheet.name: sheet.to_python() for sheet in sheets}
+    name = max(rows_of, key=lambda each: len(rows_of[each]), default="")
+    rows = rows_of.get(name, [])
+    long = sum(len(each) >= MIN_SAMPLES for each in rows_of.values())
+    if long > 1:
+        notes.append(f"of {long} sheets the longest, {quote(name)}, is read; save each as a file to use the others")
     return "\n".join(";".join(map(_cell, row)) for row in rows).encode()
 
 

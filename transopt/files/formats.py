@@ -10,6 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -82,17 +83,21 @@ def _read(suffix: str, data: bytes, layout: Layout, words: Vocabulary) -> tuple[
     """The columns of a file, and the sample rate that it states in place of times."""
     if suffix.lower() == ".wav":
         return _read_wav(data, layout)
-    opened = universal_columns(data, layout, words) if suffix.lower() in UNIVERSAL else _opened(suffix, data)
-    return read_text(opened, layout, words) if isinstance(opened, bytes) else _from_variables(opened, layout, words)
+    notes = list[str]()
+    opened = universal_columns(data, layout, words) if suffix.lower() in UNIVERSAL else _opened(suffix, data, notes)
+    if not isinstance(opened, bytes):
+        return _from_variables(opened, layout, words)
+    raw, rate = read_text(opened, layout, words)
+    return replace(raw, notes=(*notes, *raw.notes)), rate
 
 
-def _opened(suffix: str, data: bytes) -> bytes | Channels:
-    """The text of a file, or its variables, by suffix."""
+def _opened(suffix: str, data: bytes, notes: list[str]) -> bytes | Channels:
+    """The text of a file, or its variables, by suffix; `notes` receives what was left out."""
     match suffix.lower():
         case ".csv" | ".txt" | ".dat" | ".tsv" | ".lvm" | ".log" | ".asc":
             return data
         case ".xlsx" | ".xlsm" | ".xls" | ".ods":
-            return sheet_as_text(data)
+            return sheet_as_text(data, notes)
         case ".tdms":
             return tdms_channels(data)
         case ".npz":
@@ -116,7 +121,7 @@ def columns_of(path: Path, words: Vocabulary) -> dict[str, FloatArray]:
         data = read_file(path, MOST_RECORD_BYTES, "")
         if path.suffix.lower() == ".wav":
             return {f"channel {k + 1}": each for k, each in enumerate(_sound(data)[1].T)}
-        opened = _opened(path.suffix, data)
+        opened = _opened(path.suffix, data, [])
         return text_columns(opened, words) if isinstance(opened, bytes) else numeric(_parted(opened.values, words))
     return {}
 

@@ -305,6 +305,17 @@ def test_a_waveform_keeps_its_start(tmp_path: Path) -> None:
     assert recording.acceleration.start_s == pytest.approx(-3e-3)
 
 
+def test_a_workbook_of_several_taps_says_which_is_read(tmp_path: Path) -> None:
+    head, rows = ("Time [s]", "Acc [m/s^2]"), zip(TIMES_S.tolist(), TAP_M_S2.tolist(), strict=True)
+    remarks: list[tuple[object, ...]] = [("Operator", "A"), ("Sensor", "B")]
+    shorter, longer = [head, *rows], [head, *((1e-3 * k, float(np.sin(k))) for k in range(2 * TIMES_S.size))]
+    alone = load(tmp_path, workbook(remarks, shorter), ".xlsx")
+    assert not any("sheets" in note for note in alone.notes)
+    found = load(tmp_path, workbook(shorter, remarks, longer), ".xlsx")
+    assert "of 2 sheets the longest, 'tap3', is read; save each as a file to use the others" in found.notes
+    assert found.acceleration.values.size == 2 * alone.acceleration.values.size
+
+
 @pytest.mark.parametrize("suffix", FILES)
 def test_a_library_that_is_not_there_is_named(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(name: str) -> None:
