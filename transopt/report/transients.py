@@ -311,13 +311,13 @@ def transients_figure(drawn: Transients) -> Figure:
         beyond_ms = MARGIN / part.share * (part.end_ms - part.start_ms)
         axes.set_xlim(part.start_ms - beyond_ms * (part is parts[0]), part.end_ms + beyond_ms * (part is parts[-1]))
         # A label at the beginning of a narrow panel would lie on that at the end of the panel before it.
-        at = MaxNLocator(
+        locator = MaxNLocator(
             max(round(6 * part.share), 3),
             steps=TICK_STEPS,
             min_n_ticks=1,
             prune=None if part is parts[0] else "lower",
         )
-        axes.xaxis.set_major_locator(at)
+        axes.xaxis.set_major_locator(locator)
     for axes in panels[:, 0, 0]:
         axes.yaxis.set_major_locator(MaxNLocator(6, steps=TICK_STEPS))
     panels[0, 0, 0].set_ylabel("acceleration [g]", fontsize=LABEL_PT)
