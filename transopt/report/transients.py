@@ -233,6 +233,7 @@ def entries_figure(entries: Sequence[Sequence["Entry"]]) -> Figure:
             limit=first.limits.input_limit,
             input_multiplier=multiplier,
             hand_over_samples=first.hand_over_samples,
+            nonlinear=entries[0][0].designed.nonlinear is not None,
             bounds=input_bounds(first) if several else None,
         )
     )

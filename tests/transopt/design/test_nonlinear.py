@@ -69,7 +69,9 @@ class TestDesign:
 
     def test_draws_the_motion_on_the_nonlinear_plant(self, design: Build) -> None:
         ((entry,),) = design.entries
-        drawn = [np.asarray(line.get_ydata()) for axes in entry.plot().axes for line in axes.lines]
+        figure = entry.plot()
+        assert "nonlinear plant: certified stationary points" in figure.get_supxlabel()
+        drawn = [np.asarray(line.get_ydata()) for axes in figure.axes for line in axes.lines]
         in_g = entry.predicted_m_s2 / 9.80665
         assert any(y.size >= in_g.size and np.allclose(y[: in_g.size], in_g, atol=1e-9) for y in drawn)
 

@@ -10,7 +10,7 @@ from rich.table import Table
 
 import transopt as to
 from transopt.base.writing import percent
-from transopt.library.columns import COLUMNS, FULL, EntryTable, TableRow
+from transopt.library.columns import COLUMNS, FULL, NAN, EntryTable, TableRow
 from transopt.report.markdown import build_markdown
 from transopt.report.tables import certificate_table, entry_table, verify_table
 from transopt.scene.keys import with_values
@@ -110,3 +110,8 @@ def test_heads_state_unit_and_limits_and_every_meaning_stands_in_the_legend() ->
     assert "{" not in said
     assert "its voltage clipped" in said
     assert "beside the target, over the waveform" in said
+
+
+@pytest.mark.parametrize(("heat_A2_s", "shown"), [(2.13e-4, "0.21"), (9.6e-3, "10"), (0.0263, "26"), (NAN, "-")])
+def test_the_heat_of_a_small_coil_is_not_rounded_away(heat_A2_s: float, shown: str) -> None:
+    assert COLUMNS["heat"].show(heat_A2_s) == shown
