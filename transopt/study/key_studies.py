@@ -6,8 +6,10 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from transopt.base.plotting import LABEL_PT, style
+from transopt.base.signals import FloatArray
 from transopt.base.writing import percent
 from transopt.problem.answer import AT_FLOOR
 from transopt.problem.objective.bands import JUST_NOTICED_dB
@@ -21,6 +23,37 @@ from transopt.study.rows import Row
 
 
 @dataclass(frozen=True)
+class Sweep:
+    """A study of one key at V of its values and E of its entries.
+
+    Attributes
+    ----------
+    plan, rows : the whole study.
+    used : which of all values these are. kept : (speeds, grips) which entries.
+    """
+
+    plan: Plan
+    rows: Sequence[Row]
+    used: NDArray[np.bool_]
+    kept: NDArray[np.bool_]
+
+    @property
+    def values(self) -> list[Any]:
+        """(V,) values of the key."""
+        return [value for value, used in zip(self.plan.axes[0].values, self.used, strict=True) if used]
+
+    def column(self, name: str) -> FloatArray:
+        """(V, E) a column of the rows; NaN where the value is missing."""
+        return entry_grid(self.plan, self.rows, name)[self.used][:, self.kept]
+
+    @property
+    def places(self) -> FloatArray:
+        """(E, 2) speeds [m/s] and grips [N]."""
+        places = np.meshgrid(self.plan.speeds_m_s, self.plan.grips_N, indexing="ij")
+        return np.stack(places, axis=-1)[self.kept]
+
+
+@dataclass(frozen=True)
 class KeyStudy:
     """A named study of one key.
 
@@ -29,26 +62,42 @@ class KeyStudy:
     axis : the key and its values, in the form of `parse_axis`.
     speeds_m_s, grips_N : entries solved at every value.
     figure : draws the figure from plan and rows.
-    finding : states one or two sentences from plan and rows.
+    sentence : states the finding in one or two sentences.
     changes : keys of the scene that are set for all values.
+    throughout : whether the finding is about the entries that are certified at every value that has any, or else at
+        the first one.
     """
 
     axis: str
     speeds_m_s: tuple[float, ...]
     grips_N: tuple[float, ...]
     figure: Callable[[Plan, Sequence[Row]], Figure]
-    finding: Callable[[Plan, Sequence[Row]], str]
+    sentence: Callable[[Sweep], str]
     changes: tuple[tuple[str, Any], ...] = ()
+    throughout: bool = True
 
     def plan(self, scene: Scene) -> Plan:
         changed = with_values(scene, dict(self.changes)) if self.changes else scene
         return Plan(changed, (parse_axis(changed, "--study", self.axis),), self.speeds_m_s, self.grips_N)
 
+    def finding(self, plan: Plan, rows: Sequence[Row]) -> str:
+        """The finding of the entries that have one, and how many have none; empty if none has."""
+        certified = np.isfinite(entry_grid(plan, rows, "tap_error"))
+        used = np.asarray(certified.any(axis=(1, 2)))
+        kept = np.asarray(certified[used].all(axis=0) if self.throughout else certified[np.argmax(used)])
+        if not (used.any() and kept.any()):
+            return ""
+        said, without = [self.sentence(Sweep(plan, rows, used, kept))], "without a certified optimum"
+        if not used.all():
+            said.append(f"At {int(np.sum(~used))} of {used.size} values every entry is {without}.")
+        if not kept.all():
+            said.append(f"Left out: {int(np.sum(~kept))} of {kept.size} entries, {without} at some other value.")
+        return " ".join(said)
 
-def current_finding(plan: Plan, rows: Sequence[Row]) -> str:
-    names = ("tap_error", "floor", "free_peak", "felt_dB")
-    error, floor, needed, felt = (entry_grid(plan, rows, name) for name in names)
-    limits = plan.axes[0].values
+
+def current_finding(of: Sweep) -> str:
+    error, floor, needed, felt = map(of.column, ("tap_error", "floor", "free_peak", "felt_dB"))
+    limits = of.values
     cut = int(np.sum(needed[0] > limits[0]))
     free = [A for A, e, f in zip(limits, error, floor, strict=True) if np.all(e <= f + AT_FLOOR)]
     clear = (
@@ -64,19 +113,18 @@ def current_finding(plan: Plan, rows: Sequence[Row]) -> str:
     )
 
 
-def intensity_finding(plan: Plan, rows: Sequence[Row]) -> str:
-    names = ("energy_dB", "waveform_dB", "tap_error", "free_peak")
-    energy, wave, error, needed = (entry_grid(plan, rows, name) for name in names)
-    limits = np.array(plan.axes[0].values)
-    asked_dB = plan.scene.weights.intensity_dB
+def intensity_finding(of: Sweep) -> str:
+    energy, wave, error, needed = map(of.column, ("energy_dB", "waveform_dB", "tap_error", "free_peak"))
+    limits = np.array(of.values)
+    asked_dB = of.plan.scene.weights.intensity_dB
 
     def from_on(met: Any) -> str:
         """The least limit at and above which `met` holds at every entry."""
-        kept = np.logical_and.accumulate(np.all(met, axis=(1, 2))[::-1])[::-1]
+        kept = np.logical_and.accumulate(np.all(met, axis=1)[::-1])[::-1]
         return f"{limits[int(np.argmax(kept))]:g} A" if kept.any() else f"more than {limits[-1]:g} A"
 
     has = energy >= asked_dB - 2 * TOLERANCE_dB
-    reached = np.all(has, axis=(1, 2))
+    reached = np.all(has, axis=1)
     first = int(np.argmax(reached)) if reached.any() else len(limits) - 1
     return (
         f"The energy of the recorded taps, {asked_dB:+g} dB, takes {from_on(has)} at every entry; their waveform "
@@ -103,51 +151,52 @@ def intensity_figure(plan: Plan, rows: Sequence[Row]) -> Figure:
     return figure
 
 
-def bandwidth_finding(plan: Plan, rows: Sequence[Row]) -> str:
-    error = entry_grid(plan, rows, "tap_error")
-    poles = plan.axes[0].values
-    worse = (error - error[-1]).max(axis=(1, 2))
+def bandwidth_finding(of: Sweep) -> str:
+    error = of.column("tap_error")
+    poles = of.values
+    worse = (error - error[-1]).max(axis=1)
     enough = next(f for j, f in enumerate(poles) if np.all(worse[j:] <= 0.01))
-    at = np.unravel_index(int(np.nanargmax(error[0] - error[-1])), error[0].shape)
+    at = int(np.argmax(error[0] - error[-1]))
+    speed_m_s, grip_N = of.places[at]
+    amplifier = of.plan.scene.amplifier_model()
+    own = ""
+    if amplifier is not None:
+        costs = "nothing" if amplifier.pole_Hz >= enough else "more than that"
+        own = f", and the scene's {amplifier.pole_Hz:g} Hz costs {costs}"
     return (
         f"From {enough:.0f} Hz on no entry errs by more than one percentage point above an amplifier of "
-        f"{poles[-1]:.0f} Hz: the optimum plans the lag in, and the seed's 1050 Hz costs nothing. At "
-        f"{poles[0]:.0f} Hz the command limit holds it back, most at {plan.speeds_m_s[at[0]]:g} m/s and "
-        f"{plan.grips_N[at[1]]:g} N: {percent(float(error[0][at]))} % against {percent(float(error[-1][at]))} %."
+        f"{poles[-1]:.0f} Hz: the optimum plans the lag in{own}. At "
+        f"{poles[0]:.0f} Hz the command limit holds it back, most at {speed_m_s:g} m/s and "
+        f"{grip_N:g} N: {percent(float(error[0][at]))} % against {percent(float(error[-1][at]))} %."
     )
 
 
-def lead_finding(plan: Plan, rows: Sequence[Row]) -> str:
-    error = entry_grid(plan, rows, "tap_error")
-    leads = plan.axes[0].values
-    slow = error[:, 0].max(axis=1)
+def lead_finding(of: Sweep) -> str:
+    error, speeds_m_s = of.column("tap_error"), of.places[:, 0]
+    leads = of.values
+    slow = error[:, speeds_m_s == speeds_m_s.min()].max(axis=1)
     best = int(np.argmin(slow))
     enough = next(j for j, e in enumerate(slow) if e <= slow[best] + AT_FLOOR)
     return (
         f"Without a lead the slowest taps err by {percent(float(slow[0]))} %, since no current acts before "
-        f"{1e3 * plan.scene.time_grid().delay_s:.3f} ms; from {1e3 * leads[enough]:g} ms on by "
+        f"{1e3 * of.plan.scene.time_grid().delay_s:.3f} ms; from {1e3 * leads[enough]:g} ms on by "
         f"{percent(float(slow[enough]))} %, within {100 * AT_FLOOR:g} % of the least. At the fastest and firmest the "
         f"current limit rules: {percent(float(error[0].max()))} % without, {percent(float(error[-1].max()))} % at "
         f"{1e3 * leads[-1]:g} ms."
     )
 
 
-def rate_finding(plan: Plan, rows: Sequence[Row]) -> str:
-    used = entry_grid(plan, rows, "peak_input") / plan.scene.limits.steady_input
-    error = entry_grid(plan, rows, "tap_error")
-    rates = plan.axes[0].values
+def rate_finding(of: Sweep) -> str:
+    used, error = of.column("peak_input") / of.plan.scene.limits.steady_input, of.column("tap_error")
+    rates = of.values
     # There is no entry at a rate at which the coil overheats without current, or no time is left for a waveform.
-    most, least = (
-        np.where(np.isnan(used), -np.inf, used).max(axis=0),
-        np.where(np.isnan(used), np.inf, used).min(axis=0),
-    )
-    at = np.unravel_index(int(np.argmax(most - least)), most.shape)
-    beta, own = used[:, at[0], at[1]], error[:, at[0], at[1]]
+    at = int(np.argmax(np.nanmax(used, axis=0) - np.nanmin(used, axis=0)))
+    beta, own, (speed_m_s, grip_N) = used[:, at], error[:, at], of.places[at]
     full = [f for f, b in zip(rates, beta, strict=True) if b >= np.nanmax(beta) * (1 - 1e-3)]
     there = np.flatnonzero(np.isfinite(beta))
     last = int(there[-1])
     return (
-        f"At {plan.speeds_m_s[at[0]]:g} m/s and {plan.grips_N[at[1]]:g} N the coil lets the optimum use beta = "
+        f"At {speed_m_s:g} m/s and {grip_N:g} N the coil lets the optimum use beta = "
         f"{beta[0]:.2f} up to {full[-1]:g} taps/s and {beta[last]:.2f} at {rates[last]:g} taps/s; the error rises "
         f"from {percent(float(own[0]))} to {percent(float(own[last]))} %."
     )
@@ -191,6 +240,7 @@ KEY_STUDIES = {
         rate_figure,
         rate_finding,
         (("limits.current_A", 6.0),),
+        throughout=False,
     ),
     "amplifier_bandwidth": KeyStudy(
         "amplifier.pole_Hz=100:10000:13:log", ALL_SPEEDS_M_S, ALL_GRIPS_N, curves, bandwidth_finding

@@ -22,7 +22,7 @@ from transopt.study.key_studies import KEY_STUDIES, KeyStudy
 from transopt.study.motor_selection import motor_selection
 from transopt.study.optima import Proven, proven_sentence
 from transopt.study.report import provenance, refusal_lines, study_markdown, summary
-from transopt.study.rows import exit_code, is_admitted
+from transopt.study.rows import exit_code
 from transopt.study.session import run_plan
 
 
@@ -71,8 +71,7 @@ class Written:
 def _key_study(study: KeyStudy, name: str, scene: Scene, folder: Path, pool: Pool) -> Written:
     plan = study.plan(scene)
     rows = run_plan(plan, folder, pool, name=name)
-    certified = any(map(is_admitted, rows))
-    finding = study.finding(plan, rows) if certified else summary(rows)
+    finding = study.finding(plan, rows) or f"{summary(rows)}."
     return Written(
         study.figure(plan, rows),
         lambda head: study_markdown(plan, rows, f"{name}.png", [*head, finding, ""]),

@@ -1,5 +1,6 @@
 """The named studies, in short forms."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,26 @@ from transopt.study.grip_mismatch import mismatch, mismatch_sentence
 from transopt.study.key_studies import KEY_STUDIES
 from transopt.study.named import IN_PROCESS, write
 from transopt.study.optima import proven_sentence
+from transopt.study.plan import Plan
+from transopt.study.rows import Row, row_of
 from transopt.study.session import run_plan
+
+
+def made_up(plan: Plan, refused: Callable[[str, float], bool] = lambda value, grip_N: False) -> list[Row]:
+    """Rows of a study of one key: errors that fall with the value, and rise with speed and grip."""
+    places = [(v, g) for v in plan.speeds_m_s for g in plan.grips_N]
+    rows = []
+    for k in range(plan.points * len(places)):
+        point, (speed_m_s, grip_N) = k // len(places), places[k % len(places)]
+        labels = plan.labels(point)
+        (value,) = labels.values()
+        error, dB = 0.3 / (1 + point) + 0.1 * speed_m_s + 0.01 * grip_N, -2.0 / (1 + point) - speed_m_s
+        figures = {"tap_error": error, "floor": 0.1, "free_peak": 3.0, "felt_dB": dB, "energy_dB": dB}
+        figures |= {"waveform_dB": dB, "peak_input": 4.0 - point - 0.1 * grip_N}
+        place = {"index": k, "speed_m_s": speed_m_s, "grip_N": grip_N, "target": ""}
+        answer = {"status": "INFEASIBLE"} if refused(value, grip_N) else {"status": "OPTIMAL", **figures}
+        rows.append(row_of({**place, **answer}, point, labels))
+    return rows
 
 
 class TestNamed:
@@ -72,6 +92,24 @@ class TestNamed:
         rows = run_plan(plan, tmp_path, serial())
         assert [row["status"] for row in rows] == ["OPTIMAL", "OPTIMAL", "REFUSED"]
         assert "at 10 taps/s" in fewer.finding(plan, rows)
+
+    @pytest.mark.parametrize("name", KEY_STUDIES)
+    def test_a_refused_entry_or_value_leaves_the_finding_of_the_others(self, scene: Scene, name: str) -> None:
+        """As if neither the refused grip nor the refused value had been asked about."""
+        own = KEY_STUDIES[name]
+        key, unit = own.axis.split("=")[0], {"lead": 1e-4, "amplifier_bandwidth": 1e3}.get(name, 1.0)
+        study = replace(own, axis=f"{key}={2 * unit:g},{4 * unit:g},{6 * unit:g}")
+        fewer = replace(own, axis=f"{key}={2 * unit:g},{4 * unit:g}", grips_N=(1.0, 5.0))
+        plan, less = study.plan(scene), fewer.plan(scene)
+        whole, entries = fewer.finding(less, made_up(less)), 3 * len(study.speeds_m_s)
+        assert ("the scene's 1050 Hz costs more than that" in whole) == (name == "amplifier_bandwidth")
+        refused = made_up(plan, lambda value, grip_N: value == plan.axes[0].labels[2] or grip_N == 3)
+        assert study.finding(plan, refused) == (
+            f"{whole} At 1 of 3 values every entry is without a certified optimum. Left out: {entries // 3} of "
+            f"{entries} entries, without a certified optimum at some other value."
+        )
+        assert study.figure(plan, refused).axes
+        assert not study.finding(plan, made_up(plan, lambda value, grip_N: True))
 
     def test_blind_grip(self, short: Scene) -> None:
         found, optima = mismatch(short, (0.2,), (1.0, 3.0))
