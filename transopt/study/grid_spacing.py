@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from transopt.base.errors import InputError
 from transopt.base.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, style
 from transopt.design.nodes import Nodes
 from transopt.plant.drive import Drive
@@ -14,10 +15,9 @@ from transopt.plant.hand import LinearParameter
 from transopt.scene.scene import Scene
 from transopt.study.figures import percent_axis
 from transopt.study.optima import Proven, errors_of, proven
+from transopt.study.plan import grip_range, two_speeds
 
-HELD_SPEEDS_M_S, HELD_GRIPS_N = (0.2, 0.4), (1.0, 5.0)
-GRIP_SPACINGS_N = (4.0, 2.0, 1.0, 0.5)
-SPEED_SPACINGS_M_S = (0.3, 0.15, 0.1, 0.05, 0.025)
+GRIP_PARTS, SPEED_PARTS = (1, 2, 4, 8), (1, 2, 3, 6, 12)  # equal intervals of the scene's range
 LEAST_EXCESS_PERCENT = 0.01  # smallest excess shown
 FINE = 4  # points per interval of the finest grid
 CLOSE = 0.02  # excess of tap error; the finding names the widest spacing that stays below it
@@ -62,8 +62,7 @@ class Spaced:
     median: float
 
 
-def _nodes(low: float, high: float, spacing: float) -> tuple[float, ...]:
-    count = round((high - low) / spacing)
+def _nodes(low: float, high: float, count: int) -> tuple[float, ...]:
     return tuple(float(f"{v:.10g}") for v in np.linspace(low, high, count + 1))
 
 
@@ -71,28 +70,37 @@ def spacing(
     device: str,
     scene: Scene,
     *,
-    grip_spacings_N: Sequence[float] = GRIP_SPACINGS_N,
-    speed_spacings_m_s: Sequence[float] = SPEED_SPACINGS_M_S,
-    held_speeds_m_s: Sequence[float] = HELD_SPEEDS_M_S,
-    held_grips_N: Sequence[float] = HELD_GRIPS_N,
+    grip_parts: Sequence[int] = GRIP_PARTS,
+    speed_parts: Sequence[int] = SPEED_PARTS,
+    held_speeds_m_s: Sequence[float] = (),
+    held_grips_N: Sequence[float] = (),
     fine: int = FINE,
 ) -> tuple[list[Spaced], list[Proven]]:
     """Both axes of one device, and the optima solved. All grids are compared at the points of the finest one.
 
+    Parameters
+    ----------
+    grip_parts, speed_parts : numbers of equal intervals between the nodes; each divides the last.
+    held_speeds_m_s, held_grips_N : values on the other axis; by default `two_speeds`, and least and greatest grip.
+    fine : points per interval of the finest grid.
+
     Raises
     ------
-    InputError : an optimum is not certified.
+    InputError : the scene has one grip or one speed, or an optimum is not certified.
     """
-    errors, grid, found = errors_of(scene), scene.grid, []
+    grips, speeds = grip_range(scene, "grid_spacing"), scene.axes.speeds_m_s
+    if len(speeds) < 2:
+        raise InputError(f"--study grid_spacing: {scene.name} has one speed: state two or more in grid.speeds_m_s")
+    errors, found = errors_of(scene), []
     cases = [
-        ("grip", held_speeds_m_s, (grid.grips_N[0], grid.grips_N[-1]), grip_spacings_N),
-        ("speed", held_grips_N, (grid.speeds_m_s[0], grid.speeds_m_s[-1]), speed_spacings_m_s),
+        ("grip", held_speeds_m_s or two_speeds(scene), grips, grip_parts),
+        ("speed", held_grips_N or grips, (speeds[0], speeds[-1]), speed_parts),
     ]
-    for axis, helds, (low, high), spacings in cases:
-        points = _nodes(low, high, min(spacings) / fine)
+    for axis, helds, (low, high), parts in cases:
+        points = _nodes(low, high, parts[-1] * fine)
         for held in helds:
-            for width in spacings:
-                own = _nodes(low, high, width)
+            for count in parts:
+                own, width = _nodes(low, high, count), float(f"{(high - low) / count:.10g}")
                 between = [x for x in points if x not in own]
                 if axis == "grip":
                     nodes, at = Nodes((held,), own), [(held, F) for F in between]
@@ -108,8 +116,10 @@ def spacing(
 
 
 def spacing_study(scene: Scene) -> tuple[list[Spaced], list[Proven]]:
-    """The scene's device, and the same in a heavier, softer hand whose resonance depends on grip."""
+    """The scene's device, and a drive also in a heavier, softer hand whose resonance depends on grip."""
     usual, usual_optima = spacing("default", scene)
+    if not isinstance(scene.model, Drive):
+        return usual, usual_optima
     soft, soft_optima = spacing("soft hand", soft_hand(scene))
     return [*usual, *soft], [*usual_optima, *soft_optima]
 

@@ -13,11 +13,9 @@ from transopt.proof.replay import replayed_figures
 from transopt.scene.scene import Scene
 from transopt.study.figures import legend_above, percent_axis
 from transopt.study.optima import Proven, errors_of, proven
+from transopt.study.plan import grip_range, two_speeds
 
-SPEEDS_M_S = (0.2, 0.4)
-GRIPS_N = tuple(float(F) for F in np.arange(1.0, 5.01, 0.5))
-BLIND_GRIPS_N = (1.0, 3.0, 5.0)  # grips of the single-grip libraries in the figure
-NAMED_GRIP_N = 3.0  # grip of the library whose error the finding states
+GRIPS = 9  # from the least to the greatest one of the scene
 
 
 @dataclass(frozen=True)
@@ -48,16 +46,20 @@ def _errors_at(errors: Errors, scene: Scene, grip: float, speed: float, grips: S
 
 
 def mismatch(
-    scene: Scene,
-    speeds_m_s: Sequence[float] = SPEEDS_M_S,
-    grips_N: Sequence[float] = GRIPS_N,
+    scene: Scene, speeds_m_s: Sequence[float] = (), grips_N: Sequence[float] = ()
 ) -> tuple[list[Played], list[Proven]]:
     """Every grip's command on every grip's device, and the optima solved for this.
 
+    Parameters
+    ----------
+    speeds_m_s, grips_N : taps and hands; by default `two_speeds`, and nine grips over the range of the scene.
+
     Raises
     ------
-    InputError : an optimum is not certified.
+    InputError : the scene has one grip, or an optimum is not certified.
     """
+    speeds_m_s = speeds_m_s or two_speeds(scene)
+    grips_N = grips_N or np.linspace(*grip_range(scene, "grip_mismatch"), GRIPS).tolist()
     errors, found = errors_of(scene), []
     for speed in speeds_m_s:
         for grip in grips_N:
@@ -67,15 +69,21 @@ def mismatch(
     return found, proven("default", errors)
 
 
+def _single(found: Sequence[Played]) -> tuple[float, float, float]:
+    """Least, middle and greatest grip [N], those of the libraries for one grip."""
+    grips = sorted({p.made_for_N for p in found})
+    return grips[0], grips[len(grips) // 2], grips[-1]
+
+
 def mismatch_figure(found: Sequence[Played]) -> Figure:
     """Tap error over the grip of the hand: compensated, and with libraries for a single grip."""
-    speeds = list(dict.fromkeys(p.speed_m_s for p in found))
+    speeds, single = list(dict.fromkeys(p.speed_m_s for p in found)), _single(found)
     figure = Figure(figsize=(1.0 + 3.1 * len(speeds), 3.5), layout="constrained")
     panels = figure.subplots(1, len(speeds), sharey=True, squeeze=False)[0]
     for axes, speed in zip(panels, speeds, strict=True):
         style(axes)
         own = [p for p in found if p.speed_m_s == speed]
-        for grip, colour in zip(BLIND_GRIPS_N, colours(len(BLIND_GRIPS_N)), strict=True):
+        for grip, colour in zip(single, colours(len(single)), strict=True):
             line = [p for p in own if p.made_for_N == grip]
             axes.plot(
                 [p.played_at_N for p in line],
@@ -91,7 +99,7 @@ def mismatch_figure(found: Sequence[Played]) -> Figure:
         axes.set_xlabel("grip of the hand [N]", fontsize=LABEL_PT)
         percent_axis(axes)
     panels[0].set_ylabel("tap error [%]", fontsize=LABEL_PT)
-    shades = zip(BLIND_GRIPS_N, colours(len(BLIND_GRIPS_N)), strict=True)
+    shades = zip(single, colours(len(single)), strict=True)
     handles = [Line2D([], [], color=c, linewidth=1.2, label=f"blind, made for {F:g} N") for F, c in shades]
     handles.append(Line2D([], [], color=SEED, linewidth=1.6, label="made for the grip there is"))
     legend_above(figure, handles, 2)
@@ -100,7 +108,8 @@ def mismatch_figure(found: Sequence[Played]) -> Figure:
 
 def mismatch_sentence(found: Sequence[Played]) -> str:
     """The finding in one sentence."""
-    blind = [p for p in found if p.made_for_N == NAMED_GRIP_N]
+    middle_N = _single(found)[1]
+    blind = [p for p in found if p.made_for_N == middle_N]
     worst = max(blind, key=lambda p: p.excess)
     near = [
         p
@@ -109,7 +118,7 @@ def mismatch_sentence(found: Sequence[Played]) -> str:
         == min(abs(q.made_for_N - q.played_at_N) for q in found if q.made_for_N != q.played_at_N)
     ]
     return (
-        f"A library for {NAMED_GRIP_N:g} N alone errs by up to {100 * worst.tap_error:.0f} % at "
+        f"A library for {middle_N:g} N alone errs by up to {100 * worst.tap_error:.0f} % at "
         f"{worst.played_at_N:g} N ({worst.speed_m_s:g} m/s), where the optimum for that grip errs by "
         f"{100 * (worst.tap_error - worst.excess):.1f} %; a grip misread by "
         f"{abs(near[0].made_for_N - near[0].played_at_N):g} N costs up to "

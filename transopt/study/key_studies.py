@@ -60,7 +60,8 @@ class KeyStudy:
     Attributes
     ----------
     axis : the key and its values, in the form of `parse_axis`.
-    speeds_m_s, grips_N : entries solved at every value.
+    fastest : how many of the scene's speeds are solved at every value, from the fastest on; None for all. All of its
+        grips are.
     figure : draws the figure from plan and rows.
     sentence : states the finding in one or two sentences.
     changes : keys of the scene that are set for all values.
@@ -69,16 +70,16 @@ class KeyStudy:
     """
 
     axis: str
-    speeds_m_s: tuple[float, ...]
-    grips_N: tuple[float, ...]
     figure: Callable[[Plan, Sequence[Row]], Figure]
     sentence: Callable[[Sweep], str]
     changes: tuple[tuple[str, Any], ...] = ()
+    fastest: int | None = None
     throughout: bool = True
 
     def plan(self, scene: Scene) -> Plan:
-        changed = with_values(scene, dict(self.changes)) if self.changes else scene
-        return Plan(changed, (parse_axis(changed, "--study", self.axis),), self.speeds_m_s, self.grips_N)
+        changed, axes = with_values(scene, dict(self.changes)) if self.changes else scene, scene.axes
+        speeds_m_s = axes.speeds_m_s if self.fastest is None else axes.speeds_m_s[-self.fastest :]
+        return Plan(changed, (parse_axis(changed, "--study", self.axis),), speeds_m_s, axes.grips_N)
 
     def finding(self, plan: Plan, rows: Sequence[Row]) -> str:
         """The finding of the entries that have one, and how many have none; empty if none has."""
@@ -222,28 +223,19 @@ def rate_figure(plan: Plan, rows: Sequence[Row]) -> Figure:
     return figure
 
 
-ALL_SPEEDS_M_S, ALL_GRIPS_N = (0.1, 0.2, 0.3, 0.4), (1.0, 3.0, 5.0)
 KEY_STUDIES = {
-    "current_limit": KeyStudy("limits.current_A=1.25:6:20", ALL_SPEEDS_M_S, ALL_GRIPS_N, curves, current_finding),
+    "current_limit": KeyStudy("limits.current_A=1.25:6:20", curves, current_finding),
     "intensity": KeyStudy(
-        "limits.current_A=0.5:5.5:21",
-        ALL_SPEEDS_M_S,
-        ALL_GRIPS_N,
-        intensity_figure,
-        intensity_finding,
-        (("weights.objective", "intensity"),),
+        "limits.current_A=0.5:5.5:21", intensity_figure, intensity_finding, (("weights.objective", "intensity"),)
     ),
     "tap_rate": KeyStudy(
         "thermal.tap_rate_Hz=2:12:11",
-        (0.3, 0.4),
-        ALL_GRIPS_N,
         rate_figure,
         rate_finding,
         (("limits.current_A", 6.0),),
+        fastest=2,
         throughout=False,
     ),
-    "amplifier_bandwidth": KeyStudy(
-        "amplifier.pole_Hz=100:10000:13:log", ALL_SPEEDS_M_S, ALL_GRIPS_N, curves, bandwidth_finding
-    ),
-    "lead": KeyStudy("time.lead_s=0:0.001:11", ALL_SPEEDS_M_S, ALL_GRIPS_N, curves, lead_finding),
+    "amplifier_bandwidth": KeyStudy("amplifier.pole_Hz=100:10000:13:log", curves, bandwidth_finding),
+    "lead": KeyStudy("time.lead_s=0:0.001:11", curves, lead_finding),
 }

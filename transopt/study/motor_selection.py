@@ -20,14 +20,13 @@ from transopt.scene.scene import Scene
 from transopt.study.axes import Axis, parse_axis
 from transopt.study.executors import Pool
 from transopt.study.figures import entry_grid, entry_lines, heat_map, percent_axis, percent_norm
-from transopt.study.plan import Plan
+from transopt.study.plan import Plan, two_speeds
 from transopt.study.report import binding_names, legend, rows_table
 from transopt.study.rows import Row, entry_name, number
 from transopt.study.session import run_plan
 
 MOTORS = "faulhaber_0816k003sr,faulhaber_0816k006sr,maxon_re25_118743,maxon_re30_310009,maxon_re40_148877"
 RATIOS = "transmission.ratio_1_m=15:1000:15:log"
-SPEEDS_M_S, GRIPS_N = (0.2, 0.4), (1.0, 5.0)
 RAIL_V, AMBIENT_C, TAPS_PER_S = 24.0, 40.0, 4.0
 SWITCHING_HZ = 100e3  # below 68 kHz the model of the bridge does not hold for the smallest motor
 GOAL = 0.05  # felt error of every entry; without a limit it is about 0.04
@@ -145,10 +144,12 @@ class Selection:
         error = 100 * self.errors()
         norm = percent_norm(error)
         figure = Figure(figsize=(9.6, 4.9), layout="constrained")
-        panels = figure.subplots(len(SPEEDS_M_S), len(GRIPS_N), sharex=True, sharey=True)
+        plan = next(iter(self.studies.values()))[0]
+        down, across = len(plan.speeds_m_s), len(plan.grips_N)
+        panels = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False)
         stems = Axis("motor", tuple(self.studies), tuple(stem.replace("_", " ") for stem in self.studies))
-        for iv, speed in enumerate(SPEEDS_M_S):
-            for ig, grip in enumerate(GRIPS_N):
+        for iv, speed in enumerate(plan.speeds_m_s):
+            for ig, grip in enumerate(plan.grips_N):
                 mesh = heat_map(panels[iv, ig], stems, self.ratios, error[:, :, iv, ig], norm, written=False)
                 panels[iv, ig].set_title(f"{speed:g} m/s, {grip:g} N", fontsize=LABEL_PT)
         figure.supxlabel("transmission ratio [1/m]", fontsize=LABEL_PT)
@@ -285,7 +286,7 @@ def _page(plan: Plan, rows: Sequence[Row]) -> Figure:
 def motor_selection(
     scene: Scene, folder: Path, pool: Pool, search: Sequence[Path], *, motors: str = MOTORS, ratios: str = RATIOS
 ) -> Selection:
-    """Solve every motor at every ratio, each motor in a folder of its own.
+    """Solve every motor at every ratio, each in a folder of its own, at two speeds and the outermost grips.
 
     Parameters
     ----------
@@ -297,6 +298,7 @@ def motor_selection(
     InputError : see `run_plan`; or no motor can be posed, for example with a drive that is stated at the tip.
     """
     found, refused = {}, {}
+    speeds_m_s, grips_N = two_speeds(scene), tuple(dict.fromkeys(scene.axes.grips_N[at] for at in (0, -1)))
     axis = parse_axis(scene, "--study", f"motor={motors}", search)
     for stem, motor in zip(axis.labels, axis.values, strict=True):
         try:
@@ -304,7 +306,7 @@ def motor_selection(
         except InputError as error:
             refused[stem] = str(error)
             continue
-        plan = Plan(own, (parse_axis(own, "--study", ratios),), SPEEDS_M_S, GRIPS_N)
+        plan = Plan(own, (parse_axis(own, "--study", ratios),), speeds_m_s, grips_N)
         found[stem] = (plan, run_plan(plan, folder / stem, pool, name=stem))
     if not found:
         raise InputError("; ".join(dict.fromkeys(refused.values())))

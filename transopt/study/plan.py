@@ -185,3 +185,25 @@ def _drawn(axis: Axis, u: float) -> Any:
     low, high = axis.limits
     value = low * (high / low) ** u if axis.log else low + u * (high - low)
     return round(value) if isinstance(axis.values[0], int) else float(f"{value:.12g}")
+
+
+def two_speeds(scene: Scene) -> tuple[float, ...]:
+    """The fastest taps of a scene, and those half as fast or the slowest [m/s]; one where they are the same."""
+    speeds_m_s = scene.axes.speeds_m_s
+    return tuple(sorted({max(speeds_m_s[0], speeds_m_s[-1] / 2), speeds_m_s[-1]}))
+
+
+def grip_range(scene: Scene, name: str) -> tuple[float, float]:
+    """The least and the greatest grip of a scene [N], for the named study that asks about grips between them.
+
+    Raises
+    ------
+    InputError : the scene has one grip.
+    """
+    grips_N = scene.axes.grips_N
+    if len(grips_N) < 2:
+        raise InputError(
+            f"--study {name}: asks about grips between the least and the greatest, {scene.name} has one: state two "
+            "or more in grid.grips_N"
+        )
+    return grips_N[0], grips_N[-1]

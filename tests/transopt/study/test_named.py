@@ -18,14 +18,19 @@ from transopt.scene.scene import Scene
 from transopt.study import motor_selection
 from transopt.study.axes import parse_axis
 from transopt.study.figures import entry_grid
-from transopt.study.grid_spacing import spacing
+from transopt.study.grid_spacing import spacing, spacing_study
 from transopt.study.grip_mismatch import mismatch, mismatch_sentence
 from transopt.study.key_studies import KEY_STUDIES
 from transopt.study.named import IN_PROCESS, write
 from transopt.study.optima import proven_sentence
-from transopt.study.plan import Plan
+from transopt.study.plan import Plan, two_speeds
 from transopt.study.rows import Row, row_of
 from transopt.study.session import run_plan
+
+
+def at(scene: Scene, speeds_m_s: list[float], grips_N: list[float]) -> Scene:
+    """The scene at other speeds and grips."""
+    return with_values(scene, {"grid.speeds_m_s": speeds_m_s, "grid.grips_N": grips_N})
 
 
 def made_up(plan: Plan, refused: Callable[[str, float], bool] = lambda value, grip_N: False) -> list[Row]:
@@ -52,9 +57,10 @@ class TestNamed:
         tmp_path: Path,
         monkeypatch: pytest.MonkeyPatch,
     ) -> None:
-        fewer = replace(KEY_STUDIES["current_limit"], axis="limits.current_A=1.25,4,6", speeds_m_s=(0.1, 0.4))
+        fewer = replace(KEY_STUDIES["current_limit"], axis="limits.current_A=1.25,4,6")
         monkeypatch.setitem(KEY_STUDIES, "current_limit", fewer)
-        code, finding = write("current_limit", short, tmp_path / "out", serial(), figures=tmp_path / "figures")
+        scene = at(short, [0.1, 0.4], [1.0, 5.0])
+        code, finding = write("current_limit", scene, tmp_path / "out", serial(), figures=tmp_path / "figures")
         assert code == 0
         assert "At 1.25 A the limit cuts" in finding
         assert np.ptp(image.imread(tmp_path / "figures" / "current_limit.png")) > 0
@@ -65,16 +71,16 @@ class TestNamed:
         [("amplifier_bandwidth", "amplifier.pole_Hz=100,1050,5000"), ("lead", "time.lead_s=0,0.0003")],
     )
     def test_findings_follow_from_rows(self, short: Scene, tmp_path: Path, name: str, axis: str) -> None:
-        fewer = replace(KEY_STUDIES[name], axis=axis, speeds_m_s=(0.1, 0.4), grips_N=(5.0,))
-        plan = fewer.plan(short)
+        fewer = replace(KEY_STUDIES[name], axis=axis)
+        plan = fewer.plan(at(short, [0.1, 0.4], [5.0]))
         rows = run_plan(plan, tmp_path, serial())
         said = fewer.finding(plan, rows)
         worst = entry_grid(plan, rows, "tap_error")
         assert percent(float(worst[0].max())) in said or f"{100 * worst[0, 0].max():.2f}" in said
 
     def test_what_intensity_needs_stands_beside_what_the_waveform_needs(self, short: Scene, tmp_path: Path) -> None:
-        fewer = replace(KEY_STUDIES["intensity"], axis="limits.current_A=2,3,4", speeds_m_s=(0.4,), grips_N=(5.0,))
-        plan = fewer.plan(short)
+        fewer = replace(KEY_STUDIES["intensity"], axis="limits.current_A=2,3,4")
+        plan = fewer.plan(at(short, [0.4], [5.0]))
         rows = run_plan(plan, tmp_path, serial())
         energy, wave, needed = (entry_grid(plan, rows, name) for name in ("energy_dB", "waveform_dB", "free_peak"))
         np.testing.assert_allclose(energy, 0.0, atol=0.011)
@@ -85,10 +91,8 @@ class TestNamed:
         assert len(fewer.figure(plan, rows).axes) == 2
 
     def test_a_tap_rate_that_leaves_no_time_for_a_waveform_is_left_out(self, short: Scene, tmp_path: Path) -> None:
-        fewer = replace(
-            KEY_STUDIES["tap_rate"], axis="thermal.tap_rate_Hz=2,10,500", speeds_m_s=(0.4,), grips_N=(5.0,)
-        )
-        plan = fewer.plan(short)
+        fewer = replace(KEY_STUDIES["tap_rate"], axis="thermal.tap_rate_Hz=2,10,500")
+        plan = fewer.plan(at(short, [0.4], [5.0]))
         rows = run_plan(plan, tmp_path, serial())
         assert [row["status"] for row in rows] == ["OPTIMAL", "OPTIMAL", "REFUSED"]
         assert "at 10 taps/s" in fewer.finding(plan, rows)
@@ -99,9 +103,9 @@ class TestNamed:
         own = KEY_STUDIES[name]
         key, unit = own.axis.split("=")[0], {"lead": 1e-4, "amplifier_bandwidth": 1e3}.get(name, 1.0)
         study = replace(own, axis=f"{key}={2 * unit:g},{4 * unit:g},{6 * unit:g}")
-        fewer = replace(own, axis=f"{key}={2 * unit:g},{4 * unit:g}", grips_N=(1.0, 5.0))
-        plan, less = study.plan(scene), fewer.plan(scene)
-        whole, entries = fewer.finding(less, made_up(less)), 3 * len(study.speeds_m_s)
+        fewer = replace(own, axis=f"{key}={2 * unit:g},{4 * unit:g}")
+        plan, less = study.plan(scene), fewer.plan(at(scene, [0.1, 0.2, 0.3, 0.4], [1.0, 5.0]))
+        whole, entries = fewer.finding(less, made_up(less)), 3 * len(plan.speeds_m_s)
         assert ("the scene's 1050 Hz costs more than that" in whole) == (name == "amplifier_bandwidth")
         refused = made_up(plan, lambda value, grip_N: value == plan.axes[0].labels[2] or grip_N == 3)
         assert study.finding(plan, refused) == (
@@ -110,6 +114,21 @@ class TestNamed:
         )
         assert study.figure(plan, refused).axes
         assert not study.finding(plan, made_up(plan, lambda value, grip_N: True))
+
+    def test_asks_about_the_speeds_and_grips_of_the_scene(self, scene: Scene) -> None:
+        other = at(scene, [0.15, 0.2], [2.0, 4.0])
+        plan = KEY_STUDIES["lead"].plan(other)
+        assert (plan.speeds_m_s, plan.grips_N) == ((0.15, 0.2), (2.0, 4.0))
+        assert KEY_STUDIES["tap_rate"].plan(scene).speeds_m_s == (0.3, 0.4)
+        assert two_speeds(scene) == (0.2, 0.4)
+        assert two_speeds(other) == (0.15, 0.2)
+        assert two_speeds(at(scene, [0.2], [2.0])) == (0.2,)
+        one_grip = at(scene, [0.1, 0.2], [2.0])
+        for measure in (mismatch, spacing_study):
+            with pytest.raises(InputError, match=r"has one: state two or more in grid\.grips_N"):
+                measure(one_grip)
+        with pytest.raises(InputError, match=r"has one speed: state two or more in grid\.speeds_m_s"):
+            spacing_study(at(scene, [0.2], [2.0, 4.0]))
 
     def test_blind_grip(self, short: Scene) -> None:
         found, optima = mismatch(short, (0.2,), (1.0, 3.0))
@@ -129,8 +148,8 @@ class TestNamed:
         found, optima = spacing(
             "default",
             short,
-            grip_spacings_N=(4.0, 2.0),
-            speed_spacings_m_s=(0.3, 0.1),
+            grip_parts=(1, 2),
+            speed_parts=(1, 3),
             held_speeds_m_s=(0.4,),
             held_grips_N=(5.0,),
             fine=2,
