@@ -1,5 +1,6 @@
 """Figures of a constraint study: curves for one key, heat maps for two, else small multiples."""
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -104,11 +105,11 @@ def legend_above(figure: Figure, handles: Sequence[Any], most_columns: int = 6) 
 
 
 def entry_lines(axes: Axes, plan: Plan, x: FloatArray, values: FloatArray) -> None:
-    """Draw a line per entry of values (points, speeds, grips): one colour per grip, dashes per speed."""
-    for iv, (_, dash) in enumerate(zip(plan.speeds_m_s, ("--", "-", ":"), strict=False)):
+    """Draw a line per entry of values (points, speeds, grips): one colour per grip, dashes and marker per speed."""
+    for iv, (marker, dash) in zip(range(len(plan.speeds_m_s)), itertools.product("os^Dv<>", DASHES), strict=False):
         for ig, colour in enumerate(colours(len(plan.grips_N))):
             name = plan.entry_axes.place(iv, ig)
-            drawn: dict[str, Any] = {"color": colour, "linestyle": dash, "linewidth": 1.2, "marker": "o"}
+            drawn: dict[str, Any] = {"color": colour, "linestyle": dash, "linewidth": 1.2, "marker": marker}
             axes.plot(x, values[:, iv, ig], markersize=3, label=name, **drawn)
 
 

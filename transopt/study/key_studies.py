@@ -148,7 +148,7 @@ def intensity_figure(plan: Plan, rows: Sequence[Row]) -> Figure:
         axes.set_xlabel("current limit [A]", fontsize=LABEL_PT)
         axes.set_ylabel(label, fontsize=LABEL_PT)
     panels[0].axhspan(-JUST_NOTICED_dB, 0.0, color="0.93", linewidth=0)
-    legend_above(figure, panels[0].get_lines(), 3)
+    legend_above(figure, panels[0].get_lines(), min(len(plan.speeds_m_s), 4))
     return figure
 
 
@@ -219,7 +219,7 @@ def rate_figure(plan: Plan, rows: Sequence[Row]) -> Figure:
         axes.set_ylabel(label, fontsize=LABEL_PT)
     percent_axis(panels[1])
     panels[0].set_ylim(bottom=0)
-    legend_above(figure, panels[0].get_lines(), 3)
+    legend_above(figure, panels[0].get_lines(), min(len(plan.speeds_m_s), 4))
     return figure
 
 

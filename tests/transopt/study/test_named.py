@@ -112,7 +112,11 @@ class TestNamed:
             f"{whole} At 1 of 3 values every entry is without a certified optimum. Left out: {entries // 3} of "
             f"{entries} entries, without a certified optimum at some other value."
         )
-        assert study.figure(plan, refused).axes
+        figure = study.figure(plan, refused)
+        lines = [line for axes in figure.axes for line in axes.get_lines()]
+        drawn = {(*line.get_color(), line.get_linestyle(), line.get_marker()) for line in figure.axes[0].get_lines()}
+        assert len(lines) == 2 * entries
+        assert len(drawn) == len(figure.axes[0].get_lines())  # no two look the same
         assert not study.finding(plan, made_up(plan, lambda value, grip_N: True))
 
     def test_asks_about_the_speeds_and_grips_of_the_scene(self, scene: Scene) -> None:
