@@ -64,7 +64,7 @@ class KeyStudy:
         grips are.
     figure : draws the figure from plan and rows.
     sentence : states the finding in one or two sentences.
-    changes : keys of the scene that are set for all values.
+    changes : keys of the scene that are set for all values, the current to no more than the motor's peak.
     throughout : whether the finding is about the entries that are certified at every value that has any, or else at
         the first one.
     """
@@ -77,7 +77,10 @@ class KeyStudy:
     throughout: bool = True
 
     def plan(self, scene: Scene) -> Plan:
-        changed, axes = with_values(scene, dict(self.changes)) if self.changes else scene, scene.axes
+        changes, axes, current = dict(self.changes), scene.axes, "limits.current_A"
+        if scene.motor is not None and current in changes:
+            changes[current] = min(changes[current], scene.motor.i_peak_A)
+        changed = with_values(scene, changes) if changes else scene
         speeds_m_s = axes.speeds_m_s if self.fastest is None else axes.speeds_m_s[-self.fastest :]
         return Plan(changed, (parse_axis(changed, "--study", self.axis),), speeds_m_s, axes.grips_N)
 
@@ -164,10 +167,14 @@ def bandwidth_finding(of: Sweep) -> str:
     if amplifier is not None:
         costs = "nothing" if amplifier.pole_Hz >= enough else "more than that"
         own = f", and the scene's {amplifier.pole_Hz:g} Hz costs {costs}"
-    return (
+    found = (
         f"From {enough:.0f} Hz on no entry errs by more than one percentage point above an amplifier of "
-        f"{poles[-1]:.0f} Hz: the optimum plans the lag in{own}. At "
-        f"{poles[0]:.0f} Hz the command limit holds it back, most at {speed_m_s:g} m/s and "
+        f"{poles[-1]:.0f} Hz: the optimum plans the lag in{own}."
+    )
+    if error[0][at] - error[-1][at] <= AT_FLOOR:
+        return found
+    return (
+        f"{found} At {poles[0]:.0f} Hz the command limit holds it back, most at {speed_m_s:g} m/s and "
         f"{grip_N:g} N: {percent(float(error[0][at]))} % against {percent(float(error[-1][at]))} %."
     )
 

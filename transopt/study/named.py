@@ -71,7 +71,10 @@ class Written:
 def _key_study(study: KeyStudy, name: str, scene: Scene, folder: Path, pool: Pool) -> Written:
     plan = study.plan(scene)
     rows = run_plan(plan, folder, pool, name=name)
-    finding = study.finding(plan, rows) or f"{summary(rows)}."
+    finding = study.finding(plan, rows)
+    if not finding:
+        reason = next((row["reason"] for row in rows if row["reason"]), "")
+        finding = "; ".join([summary(rows), *([f"the first: {reason}"] if reason else [])])
     return Written(
         study.figure(plan, rows),
         lambda head: study_markdown(plan, rows, f"{name}.png", [*head, finding, ""]),

@@ -13,6 +13,7 @@ import problems
 from tests.benches.study import read, serial
 from transopt.base.errors import InputError
 from transopt.base.writing import percent
+from transopt.scene.builtin import load_scene
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.study import motor_selection
@@ -96,6 +97,25 @@ class TestNamed:
         rows = run_plan(plan, tmp_path, serial())
         assert [row["status"] for row in rows] == ["OPTIMAL", "OPTIMAL", "REFUSED"]
         assert "at 10 taps/s" in fewer.finding(plan, rows)
+
+    def test_a_study_without_an_answer_says_why(self, short: Scene, tmp_path: Path) -> None:
+        ideal = at(short, [0.4], [5.0]).model_copy(update={"amplifier": "ideal"})
+        code, finding = write("amplifier_bandwidth", ideal, tmp_path, serial())
+        assert code == 1
+        assert finding.startswith("0 of 13 entries certified")
+        assert "the first: wood_on_foam: amplifier.delay_s: missing" in finding
+
+    def test_a_smaller_motor_is_asked_for_no_more_than_its_peak(self) -> None:
+        small = load_scene("small_coil")
+        assert small.motor is not None
+        limit_A = KEY_STUDIES["tap_rate"].plan(small).scene.limits.current_A
+        assert limit_A == pytest.approx(small.motor.i_peak_A)
+
+    def test_an_amplifier_that_costs_nothing_at_all_is_blamed_for_nothing(self, scene: Scene) -> None:
+        own = KEY_STUDIES["amplifier_bandwidth"]
+        plan = own.plan(scene)
+        rows = [{**row, "tap_error": "0.3"} for row in made_up(plan)]
+        assert own.finding(plan, rows).endswith("the scene's 1050 Hz costs nothing.")
 
     @pytest.mark.parametrize("name", KEY_STUDIES)
     def test_a_refused_entry_or_value_leaves_the_finding_of_the_others(self, scene: Scene, name: str) -> None:
