@@ -69,7 +69,7 @@ class TestNamed:
 
     @pytest.mark.parametrize(
         ("name", "axis"),
-        [("amplifier_bandwidth", "amplifier.pole_Hz=100,1050,5000"), ("lead", "time.lead_s=0,0.0003")],
+        [("amplifier_bandwidth", "amplifier.pole_Hz=30,1050,5000"), ("lead", "time.lead_s=0,0.0003")],
     )
     def test_findings_follow_from_rows(self, short: Scene, tmp_path: Path, name: str, axis: str) -> None:
         fewer = replace(KEY_STUDIES[name], axis=axis)
