@@ -219,6 +219,7 @@ class NonlinearStage:
             found[k + 1] = np.real(z)
         return found
 
+    @np.errstate(all="ignore")  # a formula may have no value somewhere
     def motion(self, command: FloatArray, states: FloatArray | None = None) -> Motion:
         """The motion (K,) under a held command (K,).
 
@@ -240,6 +241,7 @@ class NonlinearStage:
             outputs,
         )
 
+    @np.errstate(all="ignore")
     def linearised(self, command: FloatArray, states: FloatArray) -> Linearised:
         """Derivatives along a command (K,) and its states (K + 1, n), by complex steps: exact to rounding.
 

@@ -15,6 +15,10 @@ from transopt.proof.continuous import AGREEMENT, after_s
 from transopt.proof.designed import Designed
 from transopt.proof.replay import Replay
 
+NO_MOTION = (
+    "the motion has no value: a formula of model.nonlinear has none where it goes, or drives it without end; lower "
+    "limits.stroke_m to where the formulas hold"
+)
 UNSTABLE_GROWTH = 1e-6  # excess of the spectral radius over 1 per tick beyond rounding
 
 
@@ -70,12 +74,14 @@ def _admitted_as_stationary(designed: Designed, played: Replay) -> tuple[Status,
     answer, certificate = designed.solution, designed.certificate
     predicted = designed.effect.motion.acceleration_m_s2
     shortfalls = played.shortfalls(designed.problem, designed.effect.command, predicted)
+    if not np.isfinite(played.acceleration_m_s2).all():
+        shortfalls = [NO_MOTION]
     if answer.status is not Status.OPTIMAL:
         return answer.status, [f"IPOPT: {answer.message}", *shortfalls]
     if not certificate.is_stationary:
         return Status.NOT_CERTIFIED, [certificate.shortfall, *shortfalls]
     assert designed.nonlinear is not None
-    if not played.off(predicted) <= AGREEMENT:
+    if played.off(predicted) > AGREEMENT:
         shortfalls.append(_too_sharp(designed.nonlinear.stage))
     return (Status.REPLAY_VIOLATION, shortfalls) if shortfalls else (Status.STATIONARY, [])
 

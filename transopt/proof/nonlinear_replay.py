@@ -124,9 +124,10 @@ def _periods(
     relative = max(relative / P**0.5, LEAST_RELATIVE)
     offsets, samples = np.linspace(0.0, dt_s, SAMPLES + 1), np.full((SAMPLES + 1, n * P), np.nan)
     absolute = np.repeat(relative * ABSOLUTE * sizes, P)
-    ends = (0.0, dt_s)
-    found = solve_ivp(rate, ends, starts.T.ravel(), method="DOP853", t_eval=offsets, rtol=relative, atol=absolute)
-    samples[: found.y.shape[1]] = found.y.T
+    ends, begun = (0.0, dt_s), starts.T.ravel()
+    if np.isfinite(rate(0.0, begun)).all():  # the integrator's first step does not end where there is no rate
+        found = solve_ivp(rate, ends, begun, method="DOP853", t_eval=offsets, rtol=relative, atol=absolute)
+        samples[: found.y.shape[1]] = found.y.T
     return np.moveaxis(samples.reshape(SAMPLES + 1, n, P), -1, 0).swapaxes(1, 2)
 
 

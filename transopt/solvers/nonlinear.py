@@ -149,6 +149,7 @@ class NonlinearProgram:
             {**self.nlp},
             {
                 "print_time": False,
+                "show_eval_warnings": False,  # IPOPT answers what is no number by a shorter step or its message
                 "hess_lag": second,
                 "ipopt": {
                     "print_level": 0,

@@ -19,6 +19,7 @@ from transopt.design.solve import design_nonlinear
 from transopt.problem.answer import Solution, Status
 from transopt.problem.nonlinear import NonlinearProblem
 from transopt.proof import nonlinear_replay
+from transopt.proof.admit import NO_MOTION
 from transopt.proof.nonlinear_replay import replay_nonlinear
 from transopt.scene.builtin import load_scene
 from transopt.solvers.options import SolverOptions
@@ -120,6 +121,18 @@ class TestRefusedAnswer:
     def test_too_few_iterations(self, tmp_path: Path) -> None:
         made = design_nonlinear(nonlinear_scene(tmp_path), options=SolverOptions(max_iterations=2))
         assert made.entries[0][0].status is Status.ITERATION_LIMIT
+
+    def test_a_motion_beyond_the_formulas_says_what_keeps_it_within(
+        self, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    ) -> None:
+        ends = ("0.3*(x/0.6e-3)**2)", "(x/0.2e-3)**2)**0.5")
+        [entry] = design_nonlinear(nonlinear_scene(tmp_path, ends)).all_entries()
+        assert entry.shortfalls == ["IPOPT: Invalid_Number_Detected", NO_MOTION]
+        assert capfd.readouterr() == ("", "")
+        [entry] = design_nonlinear(
+            nonlinear_scene(tmp_path, ends, ("stroke_m = 6e-4", "stroke_m = 1.8e-4"))
+        ).all_entries()
+        assert entry.status is Status.STATIONARY
 
     @pytest.mark.parametrize(
         ("sharp", "said", "mended"),
