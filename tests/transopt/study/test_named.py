@@ -119,7 +119,7 @@ class TestNamed:
 
     @pytest.mark.parametrize("name", KEY_STUDIES)
     def test_a_refused_entry_or_value_leaves_the_finding_of_the_others(self, scene: Scene, name: str) -> None:
-        """As if neither the refused grip nor the refused value had been asked about."""
+        """The finding is that of a study of neither the refused grip nor the refused value."""
         own = KEY_STUDIES[name]
         key, unit = own.axis.split("=")[0], {"lead": 1e-4, "amplifier_bandwidth": 1e3}.get(name, 1.0)
         study = replace(own, axis=f"{key}={2 * unit:g},{4 * unit:g},{6 * unit:g}")
