@@ -18,8 +18,9 @@ from transopt.problem.answer import Certificate, Multipliers, Status
 from transopt.problem.limits.limit import tolerated
 from transopt.problem.problem import TransientProblem
 from transopt.proof.admit import admit
+from transopt.proof.certify import certify
 from transopt.proof.designed import Designed
-from transopt.proof.effect import Effect
+from transopt.proof.effect import Effect, warm_up
 from transopt.solvers import unlimited
 from transopt.solvers.choose import prove, prove_all
 from transopt.solvers.options import SolverOptions
@@ -50,12 +51,18 @@ def verify_library(library: Library, progress: Callable[[int], None] = lambda do
     return first if library.cool is None else first + _verified(library.cool, progress)
 
 
+def _judged(answers: Sequence[tuple[Effect, Multipliers]]) -> list[Certificate]:
+    """Certificates by the adjoint in Python, which shares no stage data with the solver."""
+    warm_up([effect for effect, _ in answers])
+    return [certify(effect.problem, effect.command, multipliers, effect=effect) for effect, multipliers in answers]
+
+
 def _verified(library: Library, progress: Callable[[int], None]) -> list[Entry]:
     nv, ng = library.command.shape[:2]
     options, checked = SolverOptions(), dict[tuple[int, int], Entry]()
 
     def proofs(answers: Sequence[tuple[Effect, Multipliers]]) -> list[Certificate]:
-        return prove_all(answers, options)
+        return prove_all(answers, options, _judged)
 
     def free(problems: Sequence[TransientProblem]) -> list[FloatArray | None]:
         return [solution.command for solution in unlimited.solve(problems)]

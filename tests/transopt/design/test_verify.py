@@ -8,6 +8,7 @@ import pytest
 from transopt.design.verify import verify_library
 from transopt.library.library import Library
 from transopt.problem.answer import OBJECTIVE_SCALE, Status
+from transopt.solvers import prove
 
 CLAIMS = ("duality_gap", "primal_violation")  # next to zero, so that a share of them is next to nothing
 
@@ -32,6 +33,14 @@ def test_what_does_not_follow_from_the_waveform(library: Library, field: str) ->
     (failed,) = [check for check in verify_library(replace(library, **{field: changed})) if check.shortfalls]
     assert failed.cells == ["0.2", "5"]
     assert field in " ".join(failed.shortfalls), failed.shortfalls
+
+
+def test_no_certificate_is_of_the_solvers_own_stage_data(library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
+    def asked(*_: object) -> None:
+        raise AssertionError("a certificate from the stage data of the solver")
+
+    monkeypatch.setattr(prove, "_side_by_side", asked)
+    assert not any(entry.shortfalls for entry in verify_library(library))
 
 
 @pytest.mark.parametrize("below", [0.02, 1e3, np.inf])
