@@ -31,7 +31,7 @@ class Person:
     """Someone who types a command into a terminal, and answers."""
 
     def __init__(self, folder: Path, *command: object) -> None:
-        self.seen = ""
+        self._written = b""
         self._child, self._terminal = pty.fork()
         if self._child == 0:
             os.chdir(folder)
@@ -45,8 +45,13 @@ class Person:
             piece = os.read(self._terminal, 1 << 16)
         except OSError:  # the other end is closed
             piece = b""
-        self.seen += piece.decode().replace("\r\n", "\n")
+        self._written += piece
         return bool(piece)
+
+    @property
+    def seen(self) -> str:
+        """What the terminal shows; of a character that has come in part, nothing yet."""
+        return self._written.decode(errors="ignore").replace("\r\n", "\n")
 
     def is_asked(self) -> str:
         """What stands above the prompt."""
