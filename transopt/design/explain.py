@@ -110,16 +110,16 @@ def infeasibility(problem: TransientProblem, options: SolverOptions) -> list[str
     together = least_widening(problem, [limit.name for limit in linear])
     if together is None:
         return _proven(problem, linear, options)
-    if together[0] > 1:
+    if together.factor > 1:
         found = []
         for limit in linear:
-            least = least_widening(problem, [limit.name])
+            least = least_widening(problem, [limit.name]) if limit.name in together.blamed else None
             if least is not None:
-                found.append(_sentence(problem, limit, least[1]))
+                found.append(_sentence(problem, limit, least.command))
         if found:
             return found
-        missed = [limit for limit in linear if _worst(problem, limit, together[1])[1] > 0]
-        return [f"{_sentence(problem, limit, together[1])}, all limits wider at once" for limit in missed]
+        missed = [limit for limit in linear if _worst(problem, limit, together.command)[1] > 0]
+        return [f"{_sentence(problem, limit, together.command)}, all limits wider at once" for limit in missed]
     for limit in problem.limits:
         if limit.linear:
             continue

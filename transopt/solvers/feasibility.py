@@ -11,7 +11,7 @@ memory (with scipy 1.17 and 1.18), whatever their scale. For the same reason HiG
 """
 
 from collections.abc import Collection
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import scipy
@@ -24,6 +24,7 @@ from transopt.solvers.program import state_program
 from transopt.solvers.sparse_kkt import pattern
 from transopt.solvers.statement import Statement, state, variable
 
+NO_PRICE = 1e-9  # of all prices: a limit with less is not to blame
 SLACK = 1e-9  # relative excess up to which limits count as met
 TOLERANCE = 1e-9  # primal and dual feasibility tolerance of HiGHS
 NOTHING = 1e-9  # coefficients below this are dropped
@@ -35,8 +36,23 @@ METHODS: tuple[Literal["highs-ipm", "highs"], ...] = ("highs-ipm", "highs")
 DECIDED = (0, 2)  # scipy's status codes for an optimum and for a proof of infeasibility
 
 
-def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[float, FloatArray] | None:
-    """Least factor >= 1 by which the named limits have to be widened together, and a command (N,) feasible with it.
+class Widening(NamedTuple):
+    """The least widening of limits.
+
+    Attributes
+    ----------
+    factor : >= 1. command : (N,) one that is feasible with it.
+    blamed : names of those limits whose multipliers in the linear program prove that a smaller factor is not enough.
+        The proof holds whatever the width of any other limit: none of these is enough if it alone is widened.
+    """
+
+    factor: float
+    command: FloatArray
+    blamed: frozenset[str]
+
+
+def least_widening(problem: TransientProblem, limits: Collection[str]) -> Widening | None:
+    """Least factor by which the named limits have to be widened together, and a command that is feasible with it.
 
     Nonlinear limits are ignored. None if no factor is enough, or if none was found in time.
 
@@ -54,7 +70,7 @@ def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[
         return None
 
 
-def _found(problem: TransientProblem, limits: Collection[str]) -> tuple[float, FloatArray] | None:
+def _found(problem: TransientProblem, limits: Collection[str]) -> Widening | None:
     # Values before the first command acts are fixed and have no row in the program; their excess bounds the factor.
     least = 0.0
     for limit, row in problem.rows():
@@ -120,7 +136,18 @@ def _found(problem: TransientProblem, limits: Collection[str]) -> tuple[float, F
     command = np.asarray(command.T * statement.stage.input_scale).reshape(problem.rest.shape)
     if problem.wall is None:
         command[..., problem.free_stages :] = 0.0
-    return 1.0 + (widened if widened > SLACK else 0.0), command
+    own_x, own_g = (
+        np.split(-found.ineqlin.marginals, [2 * columns.size, 2 * (columns.size + rows.size)])[:2]
+        if blocks
+        else (np.empty(0), np.empty(0))
+    )
+    blamed = set[str]()
+    for name in limits:
+        its_x, its_g = _widths(statement, [name])
+        price = own_x.reshape(2, -1)[:, its_x[columns] > 0].sum() + own_g.reshape(2, -1)[:, its_g[rows] > 0].sum()
+        if price > NO_PRICE:
+            blamed.add(name)
+    return Widening(1.0 + (widened if widened > SLACK else 0.0), command, frozenset(blamed))
 
 
 def _largest(bounds: FloatArray) -> float:

@@ -47,6 +47,15 @@ def test_the_least_widening_is_the_least() -> None:
         assert (proof.excess <= 1) == feasible
 
 
+@pytest.mark.parametrize(("limit", "enough"), [(0.3, set()), (2.2, {"current"}), (2.8, {"current", "slew"})])
+def test_no_limit_is_enough_alone_but_those_to_blame(limit: float, enough: set[str]) -> None:
+    problem, everything = walled(limit), ["current", "command", "slew"]
+    found = least_widening(problem, everything)
+    assert found is not None
+    assert {name for name in everything if least_widening(problem, [name]) is not None} == enough
+    assert found.blamed == {"current", "slew"}
+
+
 def test_a_feasible_problem_needs_no_wider_limits() -> None:
     problem = StressCase("plain", horizon=SHORT).problem()
     found = least_widening(problem, ("current", "command"))
