@@ -24,7 +24,7 @@ from transopt.solvers.program import state_program
 from transopt.solvers.sparse_kkt import pattern
 from transopt.solvers.statement import Statement, state, variable
 
-NO_PRICE = 1e-9  # of all prices: a limit with less is not to blame
+NO_PRICE = 1e-9  # a limit with a smaller share of what the factor costs is not to blame
 SLACK = 1e-9  # relative excess up to which limits count as met
 TOLERANCE = 1e-9  # primal and dual feasibility tolerance of HiGHS
 NOTHING = 1e-9  # coefficients below this are dropped
@@ -42,8 +42,9 @@ class Widening(NamedTuple):
     Attributes
     ----------
     factor : >= 1. command : (N,) one that is feasible with it.
-    blamed : names of those limits whose multipliers in the linear program prove that a smaller factor is not enough.
-        The proof holds whatever the width of any other limit: none of these is enough if it alone is widened.
+    blamed : names of those limits whose multipliers in the linear program, or whose values before the first command
+        acts, prove that a smaller factor is not enough. The proof holds whatever the width of any other limit: none
+        of these is enough if it alone is widened.
     """
 
     factor: float
@@ -72,12 +73,14 @@ def least_widening(problem: TransientProblem, limits: Collection[str]) -> Wideni
 
 def _found(problem: TransientProblem, limits: Collection[str]) -> Widening | None:
     # Values before the first command acts are fixed and have no row in the program; their excess bounds the factor.
-    least = 0.0
+    least, blamed = 0.0, set[str]()
     for limit, row in problem.rows():
         if row.linear and row.waits:
             over = _first_excess(row) / limit.stated
             if over > SLACK and limit.name not in limits:
                 return None
+            if over > SLACK:
+                blamed.add(limit.name)
             least = max(least, over)
     statement = state(problem.without(*problem.nonlinear))
     shape, program = statement.shape, state_program(statement.shape)
@@ -141,10 +144,9 @@ def _found(problem: TransientProblem, limits: Collection[str]) -> Widening | Non
         if blocks
         else (np.empty(0), np.empty(0))
     )
-    blamed = set[str]()
     for name in limits:
         its_x, its_g = _widths(statement, [name])
-        price = own_x.reshape(2, -1)[:, its_x[columns] > 0].sum() + own_g.reshape(2, -1)[:, its_g[rows] > 0].sum()
+        price = (own_x.reshape(2, -1) * its_x[columns]).sum() + (own_g.reshape(2, -1) * its_g[rows]).sum()
         if price > NO_PRICE:
             blamed.add(name)
     return Widening(1.0 + (widened if widened > SLACK else 0.0), command, frozenset(blamed))
