@@ -1,8 +1,7 @@
 /* Linear recursions over the stages of a transient, linear systems with inputs and outputs, the temperatures of a coil,
  * a linear system that strikes a contact or that a virtual wall pushes, and a spline, whose slopes satisfy such a
- * recursion. Recursions work in
- * place: x holds the forcing of every stage at first and the states at the end. All arrays are row by row. C99 without
- * dependencies, no global state, no allocation.
+ * recursion. Recursions work in place: x holds the forcing of every stage at first and the states at the end. All
+ * arrays are row by row. C99 without dependencies, no global state, no allocation.
  */
 #include <float.h>
 #include <math.h>
