@@ -155,11 +155,11 @@ def fast_length(least: int) -> int:
 
 
 def integral(rate: FloatArray, dt_s: float) -> FloatArray:
-    """(n,) cumulative integral by the trapezoidal rule, starting with zero at the first sample."""
-    course = np.zeros(rate.size)
-    sums = course[1:]
-    np.add(rate[1:], rate[:-1], out=sums)
-    np.cumsum(sums, out=sums)
+    """(..., n) cumulative integral along the last axis by the trapezoidal rule, zero at the first sample."""
+    course = np.zeros(rate.shape)
+    sums = course[..., 1:]
+    np.add(rate[..., 1:], rate[..., :-1], out=sums)
+    np.cumsum(sums, axis=-1, out=sums)
     course *= 0.5 * dt_s
     return course
 

@@ -11,16 +11,16 @@ from transopt.design.batch import Batch
 from transopt.design.build import SOLVED_TOGETHER
 from transopt.design.entry import Entry
 from transopt.design.optimum import optimum
-from transopt.library.answered import answers_of
+from transopt.library.answered import answers_of, uncorrected_of
 from transopt.library.library import Library
 from transopt.library.proven import departures
 from transopt.problem.answer import Certificate, Multipliers, Status
 from transopt.problem.limits.limit import tolerated
 from transopt.problem.problem import TransientProblem
 from transopt.proof.admit import admit
-from transopt.proof.certify import certify
+from transopt.proof.certify import certify_all
 from transopt.proof.designed import Designed
-from transopt.proof.effect import Effect, warm_up
+from transopt.proof.effect import Effect
 from transopt.solvers import unlimited
 from transopt.solvers.choose import prove, prove_all
 from transopt.solvers.options import SolverOptions
@@ -51,18 +51,13 @@ def verify_library(library: Library, progress: Callable[[int], None] = lambda do
     return first if library.cool is None else first + _verified(library.cool, progress)
 
 
-def _judged(answers: Sequence[tuple[Effect, Multipliers]]) -> list[Certificate]:
-    """Certificates by the adjoint in Python, which shares no stage data with the solver."""
-    warm_up([effect for effect, _ in answers])
-    return [certify(effect.problem, effect.command, multipliers, effect=effect) for effect, multipliers in answers]
-
-
 def _verified(library: Library, progress: Callable[[int], None]) -> list[Entry]:
     nv, ng = library.command.shape[:2]
     options, checked = SolverOptions(), dict[tuple[int, int], Entry]()
 
     def proofs(answers: Sequence[tuple[Effect, Multipliers]]) -> list[Certificate]:
-        return prove_all(answers, options, _judged)
+        # `certify_all` is an adjoint in Python, which shares no stage data with the solver.
+        return prove_all(answers, options, certify_all)
 
     def free(problems: Sequence[TransientProblem]) -> list[FloatArray | None]:
         return [solution.command for solution in unlimited.solve(problems)]
@@ -72,10 +67,7 @@ def _verified(library: Library, progress: Callable[[int], None]) -> list[Entry]:
         if not found:
             found = answers_of(library, range(ig, min(ig + some, ng)), proofs, free)
         designed, found = found[:nv], found[nv:]
-        uncorrected = [
-            library.uncorrected(iv, ig) if library.correction_m_s2[iv, ig].any() else designed[iv].problem.target
-            for iv in range(nv)
-        ]
+        uncorrected = [uncorrected_of(library, iv, ig, designed[iv].problem) for iv in range(nv)]
         # A device with a wall adds the file's transient to its own feedback.
         played = library.command if library.wall() is None else library.transient_command
         batch = Batch(designed, library.coil(), library.steady_input, uncorrected, played[:, ig])

@@ -136,11 +136,13 @@ class Stored(Answered):
 
     Parameters
     ----------
-    uncorrected : target that errors are measured against. objective : "waveform" or "intensity", as in the scene.
+    uncorrected : target that errors are measured against.
+    figures : distance of the predicted motion from that target.
+    objective : "waveform" or "intensity", as in the scene.
     """
 
-    def __init__(self, designed: Designed, uncorrected: Target, objective: str) -> None:
-        self.designed, self._uncorrected, self.objective = designed, uncorrected, objective
+    def __init__(self, designed: Designed, uncorrected: Target, figures: Figures, objective: str) -> None:
+        self.designed, self._uncorrected, self.figures, self.objective = designed, uncorrected, figures, objective
 
     @property
     def uncorrected(self) -> Target:
@@ -149,13 +151,10 @@ class Stored(Answered):
     @property
     def floor(self) -> float:
         """Tap error of the optimum without limits; NaN if that optimum was not found."""
+        if self.uncorrected is self.problem.target:
+            return self.designed.floor
         free = self.problem.stage.rollout(self.designed.unlimited_command)[0]
         return self.problem.yardstick.tap_error(self.uncorrected, free)
-
-    @cached_property
-    def figures(self) -> Figures:
-        """Distance of the predicted motion from the recorded tap."""
-        return self.problem.yardstick.figures(self.uncorrected, self.designed.effect.lasting.acceleration_m_s2)
 
     @property
     def linear_tap_error(self) -> float:
@@ -163,6 +162,11 @@ class Stored(Answered):
         if self.designed.nonlinear is None or self.linear_command is None:
             return NAN
         return self.designed.nonlinear.figures(self.linear_command).tap_error
+
+
+def uncorrected_of(library: Library, iv: int, ig: int, problem: TransientProblem) -> Target:
+    """Target that the errors of an entry are measured against: that of its problem but for a refined library."""
+    return library.uncorrected(iv, ig) if library.correction_m_s2[iv, ig].any() else problem.target
 
 
 Prove = Callable[[Sequence[tuple[Effect, Multipliers]]], list[Certificate]]

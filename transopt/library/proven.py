@@ -22,7 +22,7 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
-from transopt.library.answered import Answered, Stored, answers_of
+from transopt.library.answered import Answered, Stored, answers_of, uncorrected_of
 from transopt.library.file import BROKEN, load_library
 from transopt.library.library import Library
 from transopt.library.multipliers import ARRAYS
@@ -31,7 +31,7 @@ from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers, S
 from transopt.problem.limits.limit import VIOLATION_TOLERANCE, tolerated
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import certify, relaxed_bound
+from transopt.proof.certify import certify, certify_all, relaxed_bound
 from transopt.proof.effect import Effect
 from transopt.solvers.native.extension import (
     ACCURACY,
@@ -88,7 +88,11 @@ def doubts(library: Library) -> Iterator[str]:
 
 
 def _of_grip(library: Library, ig: int) -> Iterator[str]:
-    for iv, designed in enumerate(answers_of(library, [ig], _proofs, _unlimited)):
+    answers = answers_of(library, [ig], _proofs, _unlimited)
+    targets = [uncorrected_of(library, iv, ig, designed.problem) for iv, designed in enumerate(answers)]
+    made = np.stack([designed.effect.lasting.acceleration_m_s2 for designed in answers])
+    figures = answers[0].problem.yardstick.figures_of(targets, made)
+    for iv, designed in enumerate(answers):
         where = f"entry {library.axes.place(iv, ig)}: "
         if designed.solution.status is not Status.OPTIMAL:
             yield f"{where}its status is: {library.status[iv, ig]}"
@@ -97,19 +101,19 @@ def _of_grip(library: Library, ig: int) -> Iterator[str]:
         if not (proof.accepted or (proof.is_stationary and (library.nonlinear or not _boundable(designed.problem)))):
             yield where + proof.shortfall
             continue
-        again = Stored(designed, library.uncorrected(iv, ig), library.posing().objective)
+        again = Stored(designed, targets[iv], figures[iv], library.posing().objective)
         yield from (where + off for off in departures(library, iv, ig, again))
         yield from (where + off for off in _peaks(library, iv, ig, again))
 
 
 def _proofs(answers: Sequence[tuple[Effect, Multipliers]]) -> list[Certificate]:
-    return [_proof(effect, multipliers) for effect, multipliers in answers]
+    proofs = zip(answers, certify_all(answers), strict=True)
+    return [_bounded(effect, multipliers, proof) for (effect, multipliers), proof in proofs]
 
 
-def _proof(effect: Effect, multipliers: Multipliers) -> Certificate:
+def _bounded(effect: Effect, multipliers: Multipliers, proof: Certificate) -> Certificate:
     """A command's certificate; where the temperature binds, a convex problem bounds J from below."""
     problem = effect.problem
-    proof = certify(problem, effect.command, multipliers, effect=effect)
     if problem.thermal is not None and proof.is_stationary and not np.isfinite(proof.lower_bound):
         proof = replace(proof, lower_bound=relaxed_bound(effect, multipliers))
         if not proof.accepted:

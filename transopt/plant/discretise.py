@@ -85,6 +85,17 @@ class Motion:
         inputs, velocities = self.plant_input[..., motor, :], self.velocity_m_s[..., motor, :]
         return replace(self, plant_input=inputs, velocity_m_s=velocities)
 
+    @classmethod
+    def stacked(cls, motions: Sequence["Motion"]) -> "Motion":
+        """Several motions, one along each course of a new first axis."""
+        return cls(
+            np.stack([motion.acceleration_m_s2 for motion in motions]),
+            np.stack([motion.plant_input for motion in motions]),
+            np.stack([motion.velocity_m_s for motion in motions]),
+            np.stack([motion.encoder_m for motion in motions]),
+            {name: np.stack([motion.outputs[name] for motion in motions]) for name in motions[0].outputs},
+        )
+
     def of_course(self, course: int) -> "Motion":
         """One of several motions."""
         return Motion(
@@ -314,17 +325,23 @@ class StageModel:
         )
 
     def adjoint(self, gradient: Motion) -> FloatArray:
-        """(N,) or (m, N) gradient by the commands for a gradient by the motion.
+        """(..., N) or (..., m, N) gradient by the commands for a gradient by the motion.
 
         The transpose of `motion`, by the adjoint recursion: lambda_k = A' lambda_(k+1) + sum of C' g_k.
         """
-        by_output = [gradient.acceleration_m_s2, gradient.plant_input, gradient.velocity_m_s]
+        one, motors = self.tracked == 1, self.motors == 1
+        by_output = [
+            gradient.acceleration_m_s2[..., None, :] if one else gradient.acceleration_m_s2,
+            *(each[..., None, :] if motors else each for each in (gradient.plant_input, gradient.velocity_m_s)),
+        ]
         if self.Cp is not None:
-            by_output.append(gradient.encoder_m)
+            by_output.append(gradient.encoder_m[..., None, :])
         nothing = np.zeros(gradient.plant_input.shape[-1:])
-        by_output += [gradient.outputs.get(name, nothing) for name in self.output_names]
-        by_command = self._system.transposed(np.concatenate([np.atleast_2d(each) for each in by_output]))
-        return np.asarray(by_command[0] if self.motors == 1 else by_command)
+        by_output += [gradient.outputs.get(name, nothing)[..., None, :] for name in self.output_names]
+        courses = np.broadcast_shapes(*(each.shape[:-2] for each in by_output))
+        wide = [np.broadcast_to(each, (*courses, *each.shape[-2:])) for each in by_output]
+        by_command = self._system.transposed(np.concatenate(wide, axis=-2))
+        return np.asarray(by_command[..., 0, :] if motors else by_command)
 
 
 def _lone(values: FloatArray) -> FloatArray:

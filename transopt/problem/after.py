@@ -52,9 +52,11 @@ class Feedback:
         return feedback_command(self.wall.masked_feedback(self.course(motion), dt), self.stage.amplifier, dt)
 
     def transposed(self, by_command: FloatArray) -> FloatArray:
-        """(K,) gradient by the encoder's reading for a gradient (K,) by the feedback command."""
+        """(..., K) gradient by the encoder's reading for a gradient (..., K) by the feedback command."""
         if self.wall is None:
             return np.zeros(by_command.shape[-1:])
+        if by_command.ndim > 1:
+            return np.stack([self.transposed(each) for each in by_command])
         dt, late = self.grid.dt_s, self.stage.whole_delay + 1
         by_feedback = feedback_command_transpose(by_command, self.stage.amplifier, dt)
         return earlier_by(late, self.wall.feedback_transpose(by_feedback, dt))
@@ -71,10 +73,12 @@ class Feedback:
         return lasting
 
     def continued_transposed(self, by_lasting: FloatArray) -> FloatArray:
-        """(N,) gradient by the command of the window for a gradient (N + M,) by the continued command."""
+        """(..., N) gradient by the command of the window for a gradient (..., N + M) by the continued command."""
         N = self.grid.stages
-        if self.wall is None or by_lasting.size == N:
+        if self.wall is None or by_lasting.shape[-1] == N:
             return by_lasting[..., :N]
+        if by_lasting.ndim > 1:
+            return np.stack([self.continued_transposed(each) for each in by_lasting])
         by_feedback = np.append(np.zeros(N), self._substituted(by_lasting[N:], transposed=True))
         by_encoder = self.transposed(by_feedback)
         through = self.stage.adjoint(replace(Motion.zero(by_lasting.size), encoder_m=by_encoder))

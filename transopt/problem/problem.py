@@ -1,7 +1,7 @@
 """The optimal-control problem of one library entry: terms of the objective, limits, hand-over."""
 
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
@@ -25,7 +25,7 @@ from transopt.problem.objective.figures import Figures, Yardstick
 from transopt.problem.objective.heat_price import HeatPrice
 from transopt.problem.objective.movement import Movement
 from transopt.problem.objective.target import Target
-from transopt.problem.objective.tracking import Tracking
+from transopt.problem.objective.tracking import Tracking, values
 
 
 @dataclass(frozen=True)
@@ -374,10 +374,9 @@ class TransientProblem:
         accelerations_m_s2 : (S, N + M) y'' of every device.
         plant_input : (N,) the plant's input; computed if it is not given and heat has a price.
         """
-        found = self.tracking.value(accelerations_m_s2) + self.movement.value(command)
-        if self.heat_price == 0:
-            return found
-        return found + self.heat.value(self.stage.rollout(command)[1] if plant_input is None else plant_input)
+        if plant_input is None:
+            plant_input = self.rest if self.heat_price == 0 else self.stage.rollout(command)[1]
+        return float(objectives([self], [command], accelerations_m_s2[None], [plant_input])[0])
 
     @cached_property
     def feedback(self) -> Feedback:
@@ -405,6 +404,25 @@ class TransientProblem:
         # The hand-over makes it zero up to rounding; it is set to exactly zero.
         transient[self.free_stages :] = 0.0
         return transient
+
+
+def objectives(
+    problems: Sequence[TransientProblem],
+    commands: Iterable[FloatArray],
+    accelerations_m_s2: FloatArray,
+    plant_inputs: Iterable[FloatArray],
+) -> FloatArray:
+    """(G,) J of commands, each in its problem; the problems differ in their targets alone.
+
+    Parameters
+    ----------
+    accelerations_m_s2 : (G, S, N + M). commands, plant_inputs : all as for `TransientProblem.objective`.
+    """
+    first, found = problems[0], values([problem.tracking for problem in problems], accelerations_m_s2)
+    found = found + np.array([first.movement.value(command) for command in commands])
+    if first.heat_price > 0:
+        found = found + np.array([first.heat.value(plant_input) for plant_input in plant_inputs])
+    return np.asarray(found)
 
 
 def tap_errors(problems: Sequence[TransientProblem], accelerations_m_s2: Sequence[FloatArray]) -> list[float]:

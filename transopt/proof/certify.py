@@ -3,19 +3,21 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from transopt.base.signals import FloatArray
-from transopt.plant.discretise import Motion
+from transopt.plant.discretise import Motion, StageModel
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers
 from transopt.problem.limits import hand_over
 from transopt.problem.limits.limit import Limit, tolerated
 from transopt.problem.limits.own import LawRow
 from transopt.problem.limits.row import transposed
-from transopt.problem.problem import TransientProblem
-from transopt.proof.effect import TEMPERATURE, Effect, boxes_of
+from transopt.problem.objective.tracking import gradients
+from transopt.problem.problem import TransientProblem, objectives
+from transopt.proof.effect import TEMPERATURE, Effect, Together, alike, boxes_of, warm_up
 
 BINDING_MULTIPLIER = 1e-9  # least multiplier of a binding limit [1/A]; interior-point methods leave 1e-13 on others
 BINDING_SLACK = 1e-5  # largest slack of a binding limit, as a share of the limit
@@ -28,47 +30,43 @@ def reduced_gradient(effect: Effect, multipliers: Multipliers, *, of_limits_alon
 
     L is the minimised function, J where intensity has no price; `of_limits_alone` leaves it out.
     """
-    return _reduced_gradient(effect, multipliers, effect.by_heating(multipliers), of_limits_alone=of_limits_alone)
+    one, by_heating = Together([effect], [multipliers]), effect.by_heating(multipliers)[None]
+    return np.asarray(_reduced_gradients(one, by_heating, of_limits_alone=of_limits_alone)[0])
 
 
-def _reduced_gradient(
-    effect: Effect, multipliers: Multipliers, by_heating: FloatArray, *, of_limits_alone: bool = False
-) -> FloatArray:
-    problem, command, motion, m = effect.problem, effect.command, effect.motion, multipliers
-    by_row = [(row, m.upper(row.name) - m.lower(row.name)) for _, row in problem.rows() if row.name in m.pairs]
-    through, by_command = transposed([each for each in by_row if not each[0].device], motion, command)
-    through_others = list[Motion]()
-    for j in range(1, len(problem.devices)):
-        of_device = [each for each in by_row if each[0].device == j]
-        its_own, directly = transposed(of_device, effect.motion_of(j) if of_device else motion, command)
-        through_others.append(its_own)
+def _reduced_gradients(some: Together, by_heating: FloatArray | None, *, of_limits_alone: bool = False) -> FloatArray:
+    """(G, N) or (G, m, N) `reduced_gradient` of commands side by side."""
+    problem, command, motion, motors = some.problem, some.command, some.motions[0], some.problem.stage.motors
+    pairs = [(row, some.pairs[row.name]) for _, row in problem.rows() if row.name in some.pairs]
+    by_row = [(row, upper - lower) for row, (lower, upper) in pairs]
+    by_command = hand_over.padded(problem, np.stack([each.hand_over for each in some.multipliers]))
+    by_encoder = problem.feedback.transposed(-by_command)
+    through = list[Motion]()
+    for number, its_motion in enumerate(some.motions):
+        its_own, directly = transposed(
+            [each for each in by_row if each[0].device == number], its_motion, command, motors
+        )
+        through.append(its_own)
         by_command = by_command + directly
-    by_current = through.plant_input
-    if problem.thermal is not None and by_heating.any():
-        heating = problem.thermal.model.heating
-        through_current, directly = heating.gradient(motion.plant_input, command, m.slope)
-        by_current, by_command = by_current + by_heating * through_current, by_command + by_heating * directly
+    by_input = through[0].plant_input
+    if problem.thermal is not None and by_heating is not None and by_heating.any():
+        slope = np.stack([each.slope for each in some.multipliers])
+        by_current, directly = problem.thermal.model.heating.gradient(motion.plant_input, command, slope)
+        by_input, by_command = by_input + by_heating * by_current, by_command + by_heating * directly
     if problem.heat_price > 0 and not of_limits_alone:
-        by_current = by_current + problem.heat.gradient(motion.plant_input)
-    by_tail, by_encoder = hand_over.transposed(problem, m.hand_over)
-    by_command = by_command + by_tail
-    by_motion = replace(through, plant_input=by_current, encoder_m=by_encoder)
+        by_input = by_input + problem.heat.gradient(motion.plant_input)
+    through[0] = replace(through[0], plant_input=by_input, encoder_m=by_encoder)
     if of_limits_alone:
-        for device, its_own in zip(problem.spread, through_others, strict=True):
-            by_command = by_command + device.adjoint(its_own)
-        return np.asarray(problem.stage.adjoint(by_motion) + by_command)
+        return np.asarray(sum(map(StageModel.adjoint, problem.devices, through)) + by_command)
     # The tracking term also depends on the motion after the window; no limit's row does.
-    after = problem.grid.after_stages
-    tracking, shares = problem.tracking, problem.shared
-    if problem.directions:
-        by_error = [tracking.gradient(effect.accelerations_m_s2, 1.0)]
-    else:
-        by_error = [tracking.gradient(a, share) for a, share in zip(effect.accelerations_m_s2, shares, strict=True)]
-    by_motion = replace(by_motion.padded(after), acceleration_m_s2=by_error[0])
-    by_lasting = problem.stage.adjoint(by_motion)
-    for device, its_own, by_its_error in zip(problem.spread, through_others, by_error[1:], strict=True):
-        by_lasting = by_lasting + device.adjoint(replace(its_own.padded(after), acceleration_m_s2=by_its_error))
-    by_tracking = problem.feedback.continued_transposed(by_lasting)
+    costs, after = [effect.problem.tracking for effect in some.effects], problem.grid.after_stages
+    by_error = gradients(costs, some.accelerations_m_s2, problem.shared)
+    of_devices = [by_error] if problem.directions else [by_error[:, j] for j in range(len(through))]
+    by_lasting = sum(
+        device.adjoint(replace(its_own.padded(after), acceleration_m_s2=by_its_error))
+        for device, its_own, by_its_error in zip(problem.devices, through, of_devices, strict=True)
+    )
+    by_tracking = problem.feedback.continued_transposed(np.asarray(by_lasting))
     return np.asarray(by_tracking + problem.movement.gradient(command) + by_command)
 
 
@@ -123,11 +121,21 @@ def certify(
     problem: TransientProblem,
     command: FloatArray,
     multipliers: Multipliers,
-    lower_bound: float = -np.inf,
     *,
     effect: Effect | None = None,
 ) -> Certificate:
-    """Bound the distance of a command from the optimum.
+    """Bound the distance of a command from the optimum, by `certify_all`.
+
+    Parameters
+    ----------
+    command : (N,).
+    effect : effect of this command in this problem, if it is known already.
+    """
+    return certify_all([(effect or Effect(problem, command), multipliers)])[0]
+
+
+def certify_all(answers: Sequence[tuple[Effect, Multipliers]]) -> list[Certificate]:
+    """Bound the distance of commands, each given by its effect, from the optima of their problems.
 
     The minimised function, J or, where intensity has a price, L, is convex in the commands. So for any mu >= 0 the
     optimum is at least the minimum over |c| <= c_max of the Lagrangian's tangent, which gives
@@ -139,71 +147,148 @@ def certify(
     hence small for rounding errors. The hand-over multipliers are checked too: they must cancel g over the hand-over,
     and any remainder counts with c_max, so that a lost or flipped multiplier is noticed although the hand-over
     commands are fixed. Where the temperature binds, the Lagrangian is not convex: the gap is then that of a
-    stationary point, and `lower_bound` has to come from the convex problem of `TemperatureLimit.relaxed`.
+    stationary point, and the lower bound, minus infinity here, has to come from the convex problem of
+    `TemperatureLimit.relaxed`.
 
-    Parameters
-    ----------
-    command : (N,).
-    lower_bound : a lower bound on the optimum from elsewhere; only needed if a temperature multiplier is positive.
-    effect : effect of this command in this problem, if it is known already.
+    Problems that differ only in their targets, such as those of one grip, are computed side by side.
     """
-    if not is_stated(problem, command, multipliers):
+    found = dict[int, Certificate]()
+    groups: dict[tuple[object, ...], list[int]] = {}
+    for i, (effect, multipliers) in enumerate(answers):
+        if is_stated(effect.problem, effect.command, multipliers):
+            groups.setdefault(alike(effect), []).append(i)
+        else:
+            found[i] = Certificate.nothing()
+    for group in groups.values():
+        effects = [answers[i][0] for i in group]
+        clipped = [admissible(answers[i][0].problem, answers[i][1]) for i in group]
+        with np.errstate(over="ignore", invalid="ignore"):  # an unstable wall; multipliers of 1e300
+            found |= zip(group, _certificates(Together(effects, clipped)), strict=True)
+    return [found[i] for i in range(len(answers))]
+
+
+class _Numbers(NamedTuple):
+    """What the certificate of one command is made of.
+
+    Attributes
+    ----------
+    objective, merit : J and L.
+    outside : (rows,) largest violation of each row, negative where it holds; finite whether all values of rows are.
+    tail : (h,) residual of the hand-over.
+    slack : sum of the multipliers times the slacks, those of the temperature left out.
+    by_command : sum_k |g_k| (c_max + |c_k|) with the reduced gradient g.
+    gradient : (N,) or (m, N) g.
+    by_heating : (N,) `Effect.by_heating`; None without a multiplier of the temperature.
+    """
+
+    objective: float
+    merit: float
+    outside: FloatArray
+    finite: bool
+    tail: FloatArray
+    slack: float
+    by_command: float
+    gradient: FloatArray
+    by_heating: FloatArray | None
+
+
+def _certificates(some: Together) -> list[Certificate]:
+    """Certificates of commands side by side, whose multipliers are `admissible`."""
+    problem, effects, multipliers = some.problem, some.effects, some.multipliers
+    problems, inputs = [effect.problem for effect in effects], some.motions[0].plant_input
+    known = np.array([each.tracking.energy_m2_s4 > 0 for each in problems])
+    objective = np.where(known, objectives(problems, some.command, some.accelerations_m_s2, inputs), 0.0)
+    rewards = [effect.problem.tracking.reward(effect.accelerations_m_s2) for effect in effects]
+    tails = np.stack([hand_over.residual(effect.problem, effect.command, effect.motion) for effect in effects])
+    slack = _sum(np.abs([each.hand_over for each in multipliers]) * np.abs(tails))
+    finite, outside = np.ones(len(effects), dtype=bool), np.empty((len(effects), len(problem.rows())))
+    for j, (_, row) in enumerate(problem.rows()):
+        value, lower, upper = some.row(j)
+        finite &= np.isfinite(value).all(axis=-1)
+        above, below = value - upper, lower - value
+        outside[:, j] = np.maximum(above, below).max(axis=-1)
+        if row.name in some.pairs:
+            slack += sum(map(_paired, some.pairs[row.name], (below, above)))
+    hot = [problem.thermal is not None and each.most(TEMPERATURE) > 0 for each in multipliers]
+    warm_up([effect for effect, is_hot in zip(effects, hot, strict=True) if is_hot or not effect.problem.stays_cool])
+    by_heating = None
+    if any(hot):
+        by_heating = np.stack([effect.by_heating(each) for effect, each in zip(effects, multipliers, strict=True)])
+    g = _reduced_gradients(some, by_heating)
+    by_command = _sum(np.abs(g) * (problem.command_bound + np.abs(some.command)))
+    numbers = zip(
+        *(of.tolist() for of in (objective, objective - np.where(known, rewards, 0.0))),
+        *(outside, finite.tolist(), tails, slack.tolist(), by_command.tolist(), g),
+        ([None] * len(hot) if by_heating is None else by_heating),
+        strict=True,
+    )
+    judged = zip(effects, multipliers, numbers, strict=True)
+    return [_certificate(effect, each, _Numbers(*own)) for effect, each, own in judged]
+
+
+def _certificate(effect: Effect, multipliers: Multipliers, numbers: _Numbers) -> Certificate:
+    problem, J, merit = effect.problem, numbers.objective, numbers.merit
+    if not np.isfinite(merit):
+        # A gap relative to an infinite objective would be accepted.
         return Certificate.nothing()
-
-    effect, clipped = effect or Effect(problem, command), admissible(problem, multipliers)
-    limits, silent = list(boxes_of(effect, clipped)), problem.reference_is_zero
-    objective = merit = 0.0
-    if problem.tracking.energy_m2_s4 > 0:
-        with np.errstate(over="ignore", invalid="ignore"):  # the loop of an unstable wall overflows
-            objective = problem.objective(command, effect.accelerations_m_s2, effect.motion.plant_input)
-            merit = objective - problem.tracking.reward(effect.accelerations_m_s2)  # L
-        if not np.isfinite(merit):
-            # A gap relative to an infinite objective would be accepted.
-            return Certificate.nothing()
-
-    if not all(np.isfinite(box.value).all() for box in limits):
+    outside = [(limit, by) for (limit, _), by in zip(problem.rows(), numbers.outside.tolist(), strict=True)]
+    violations, excess = left_over(problem, outside, float(np.abs(numbers.tail).max()), winding=effect)
+    if not (numbers.finite and np.isfinite(excess)):
         # Thermal runaway: there is no steady state.
-        return replace(Certificate.nothing(), objective=objective, merit=merit)
-
-    tail = hand_over.residual(problem, command, effect.motion)
-    outside = [(box.limit, float(box.excess.max())) for box in limits]
-    violations, excess = left_over(problem, outside, float(np.abs(tail).max()))
-    found = Certificate(
-        objective=objective,
+        return replace(Certificate.nothing(), objective=J, merit=merit)
+    dual_residual, rest = float(np.abs(numbers.gradient).max()), numbers.slack
+    if numbers.by_heating is not None:
+        rest += _of_temperature(effect, multipliers, numbers.by_heating)
+    if problem.worst:
+        # The mean by the shares bounds the worst device's loss from below, and `merit` is that loss.
+        rest += problem.tracking.above_mean(effect.accelerations_m_s2)
+    gap, is_convex = numbers.by_command + rest, _is_convex(problem, multipliers)
+    if gap > Certificate.GAP_TOLERANCE * max(J, OBJECTIVE_SCALE):
+        gap = float(np.fmin(gap, movement_bound(problem, numbers.gradient) + rest))
+    if problem.reference_is_zero:
+        # For a target of zero in the window the answer is the zero transient, with or without a wall.
+        is_zero = bool(np.abs(problem.transient_command(effect.command)).max() <= SILENT * problem.limits.input_limit)
+        dual_residual, gap, is_convex = 0.0, 0.0 if is_zero else np.inf, True
+    elif not np.isfinite(gap):
+        dual_residual, gap = np.inf, np.inf
+    return Certificate(
+        objective=J,
         merit=merit,
         violations=violations,
         excess=excess,
-        dual_residual=0.0,
-        duality_gap=0.0,
-        lower_bound=merit,
+        dual_residual=dual_residual,
+        duality_gap=gap,
+        lower_bound=merit - gap if is_convex else -np.inf,
         finite=True,
     )
-    if silent:
-        # For a target of zero in the window the answer is the zero transient, with or without a wall.
-        zero = float(np.abs(problem.transient_command(command)).max()) <= SILENT * problem.limits.input_limit
-        return found if zero else replace(found, duality_gap=float("inf"), lower_bound=-float("inf"))
 
-    with np.errstate(over="ignore", invalid="ignore"):  # multipliers of a solver that broke down may be 1e300
-        by_heating = effect.by_heating(clipped)
-        g = _reduced_gradient(effect, clipped, by_heating)
-        c_max = problem.command_bound
-        rest = sum(box.complementarity for box in limits) + float(np.vdot(np.abs(clipped.hand_over), np.abs(tail)))
-        rest += kink_gap(effect, clipped, by_heating)
-        if problem.worst:
-            # The mean by the shares bounds the worst device's loss from below, and `merit` is that loss.
-            rest += problem.tracking.above_mean(effect.accelerations_m_s2)
-        gap = float(np.vdot(np.abs(g), c_max + np.abs(command))) + rest
-        if gap > Certificate.GAP_TOLERANCE * max(objective, OBJECTIVE_SCALE):
-            gap = float(np.fmin(gap, movement_bound(problem, g) + rest))
-    if not np.isfinite(gap):
-        return replace(found, dual_residual=float("inf"), duality_gap=float("inf"), lower_bound=lower_bound)
-    convex = problem.thermal is None or problem.thermal.model.copper == 0 or not clipped.upper(TEMPERATURE).any()
-    convex = convex and not _has_nonconvex_multiplier(problem, clipped)
-    return replace(
-        found,
-        dual_residual=float(np.abs(g).max()),
-        duality_gap=gap,
-        lower_bound=max(merit - gap, lower_bound) if convex else lower_bound,
+
+def _sum(courses: FloatArray) -> FloatArray:
+    """(G,) sums over courses (G, ...)."""
+    return np.asarray(courses.reshape(len(courses), -1).sum(axis=1))
+
+
+def _paired(multipliers: FloatArray, outside: FloatArray) -> FloatArray:
+    """(G,) sums of multiplier times |slack| over the finite bounds, for values so far `outside` of them (G, N)."""
+    return _sum(multipliers * np.abs(np.where(np.isfinite(outside), outside, 0.0)))
+
+
+def _of_temperature(effect: Effect, multipliers: Multipliers, by_heating: FloatArray) -> float:
+    """What the temperature's multipliers add to the gap: their slacks, and the kink of |mean i|."""
+    assert effect.problem.thermal is not None
+    above = effect.winding_C - effect.problem.thermal.bounds_C
+    slacks = float(_paired(multipliers.upper(TEMPERATURE)[None], above[None])[0])
+    return slacks + kink_gap(effect, multipliers, by_heating)
+
+
+def _is_convex(problem: TransientProblem, multipliers: Multipliers) -> bool:
+    """Whether tangents of the Lagrangian give a lower bound: every limit with a multiplier is proven convex."""
+    warms = problem.thermal is not None and problem.thermal.model.copper != 0
+    if warms and multipliers.upper(TEMPERATURE).any():
+        return False
+    return not any(
+        isinstance(row, LawRow) and not row.convex and any(side.any() for side in multipliers.pairs.get(row.name, ()))
+        for _, row in problem.rows()
     )
 
 
@@ -274,14 +359,6 @@ def movement_bound(problem: TransientProblem, gradient: FloatArray) -> float:
     to_come = np.cumsum(gradient[..., ::-1], axis=-1)
     weight = problem.movement.weight
     return float(np.vdot(to_come, to_come)) / (4 * weight) if weight > 0 else np.inf
-
-
-def _has_nonconvex_multiplier(problem: TransientProblem, multipliers: Multipliers) -> bool:
-    """Whether a limit that is not proven convex has a multiplier: tangents then give no lower bound."""
-    return any(
-        isinstance(row, LawRow) and not row.convex and any(side.any() for side in multipliers.pairs.get(row.name, ()))
-        for _, row in problem.rows()
-    )
 
 
 def relaxed_bound(effect: Effect, multipliers: Multipliers) -> float:

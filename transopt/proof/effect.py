@@ -188,6 +188,77 @@ def effects(commands: Sequence[tuple[TransientProblem, FloatArray]]) -> list[Eff
     return found
 
 
+class Together:
+    """Effects of G commands, with multipliers, in problems that are `alike`; as arrays, one course for each command.
+
+    Attributes
+    ----------
+    effects, multipliers : one for each command.
+    """
+
+    def __init__(self, effects: Sequence[Effect], multipliers: Sequence[Multipliers]) -> None:
+        self.effects, self.multipliers = effects, multipliers
+
+    @property
+    def problem(self) -> TransientProblem:
+        """The first problem, from which the others differ in their targets and in bounds and offsets of rows."""
+        return self.effects[0].problem
+
+    @cached_property
+    def command(self) -> FloatArray:
+        """(G, N) commands, or (G, m, N)."""
+        return np.stack([effect.command for effect in self.effects])
+
+    @cached_property
+    def motions(self) -> list[Motion]:
+        """(G, ..., N) motion of every device within the window, the problem's own first."""
+        devices = range(len(self.problem.devices))
+        return [Motion.stacked([effect.motion_of(device) for effect in self.effects]) for device in devices]
+
+    @cached_property
+    def accelerations_m_s2(self) -> FloatArray:
+        """(G, S, N + M) y'' of every device, or (G, p, N + M) of every direction."""
+        return np.stack([effect.accelerations_m_s2 for effect in self.effects])
+
+    @cached_property
+    def pairs(self) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """Name of a row -> (G, N) multipliers of its lower and of its upper bound; not of a row of zeros alone."""
+        stated = {name for each in self.multipliers for name, pair in each.pairs.items() if any(map(np.any, pair))}
+        return {
+            name: (
+                np.stack([m.lower(name) for m in self.multipliers]),
+                np.stack([m.upper(name) for m in self.multipliers]),
+            )
+            for name in stated
+        }
+
+    def row(self, number: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(G, N) values of a row of the limits, and its lower and upper bounds."""
+        rows = [effect.problem.rows()[number][1] for effect in self.effects]
+        if all(row is rows[0] for row in rows):
+            values = rows[0].value(self.motions[rows[0].device], self.command)
+            for effect, value in zip(self.effects, values, strict=True):
+                effect.values[rows[0].name] = value
+            lower, upper = rows[0].bounds(self.problem.grid.stages)
+            return values, lower, upper
+        values = np.stack([effect.value(row) for effect, row in zip(self.effects, rows, strict=True)])
+        lower, upper = (np.stack(side) for side in zip(*(row.bounds(values.shape[-1]) for row in rows), strict=True))
+        return values, lower, upper
+
+
+def alike(effect: Effect) -> tuple[object, ...]:
+    """What the problems of effects in one `Together` have to share, as a key."""
+    problem, command, thermal = effect.problem, effect.command, effect.problem.thermal
+    rows = [
+        (limit.name, row.name, row.device, row.motor, *row.outputs.items(), None if row.linear else id(row))
+        for limit, row in problem.rows()
+    ]
+    same = (*problem.devices, problem.terms, problem.wall, problem.shares, thermal and thermal.model.heating)
+    numbers = (problem.worst, problem.rho, problem.heat_price, problem.intensity, problem.intensity_dB)
+    sizes = (problem.grid, problem.hand_over_samples, problem.target.lost, command.shape, command.dtype)
+    return *map(id, same), *numbers, *sizes, problem.limits.input_limit, problem.command_bound, *rows
+
+
 def warm_up(some: Sequence[Effect]) -> None:
     """Compute the heatings of effects side by side; each then has its own cached (`Effect.mean_square_A2`)."""
     groups: dict[tuple[int, TimeGrid], list[Effect]] = {}

@@ -17,6 +17,7 @@ from transopt.plant.nonlinear_stage import Linearised
 from transopt.problem.answer import Certificate, Multipliers
 from transopt.problem.limits.row import transposed
 from transopt.problem.nonlinear import NonlinearProblem
+from transopt.problem.objective.tracking import gradients
 from transopt.proof.certify import is_stated, left_over
 from transopt.proof.effect import Effect, boxes
 
@@ -64,7 +65,7 @@ def reduced_gradient(effect: NonlinearEffect, multipliers: Multipliers) -> Float
     linear, command, m = effect.problem, effect.command, multipliers
     by_row = [(row, m.upper(row.name) - m.lower(row.name)) for _, row in linear.rows() if row.name in m.pairs]
     through, by_command = transposed(by_row, effect.motion, command)
-    by_error = linear.tracking.gradient(effect.lasting.acceleration_m_s2, 1.0)
+    by_error = gradients([linear.tracking], effect.lasting.acceleration_m_s2[None, None], linear.shared)[0, 0]
     by_input = through.plant_input + linear.heat.gradient(effect.motion.plant_input)
     through = replace(through, plant_input=by_input)
     by_motion = replace(through.padded(linear.grid.after_stages), acceleration_m_s2=by_error)

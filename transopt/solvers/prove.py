@@ -13,7 +13,7 @@ from transopt.base.signals import FloatArray
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import certify, is_stated, left_over
+from transopt.proof.certify import certify_all, is_stated, left_over
 from transopt.proof.effect import TEMPERATURE, Effect, warm_up
 from transopt.solvers.native.extension import available, of_equal_sizes, prove, takes
 from transopt.solvers.stage_data import Stages, stages_of
@@ -42,15 +42,14 @@ def certificates(answers: Sequence[tuple[Effect, Multipliers]]) -> list[Certific
         if takes(*(given[group[0]].sizes[name] for name in ("states", "motors", "rows"))):
             some = [known[j] for j in group]
             proofs |= zip(some, _side_by_side([means[i] for i in some], [given[j] for j in group]), strict=True)
-    found = []
-    for i, (effect, multipliers) in enumerate(answers):
-        own = proofs.get(i)
-        if own is None:
-            own = certify(effect.problem, effect.command, multipliers, effect=effect)
-        elif effect.problem.worst:
-            own = _of_the_worst(own, effect)
-        found.append(own)
-    return found
+    found = {
+        i: _of_the_worst(own, answers[i][0]) if answers[i][0].problem.worst else own
+        for i, own in proofs.items()
+        if own is not None
+    }
+    rest = [i for i in range(len(answers)) if i not in found]
+    found |= zip(rest, certify_all([answers[i] for i in rest]), strict=True)
+    return [found[i] for i in range(len(answers))]
 
 
 def _in_the_mean(effect: Effect) -> Effect:

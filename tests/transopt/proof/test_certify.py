@@ -14,7 +14,7 @@ from transopt.problem.limits import KINDS
 from transopt.problem.limits.limit import SIDES
 from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import binding_limits, certify, movement_bound, reduced_gradient
+from transopt.proof.certify import binding_limits, certify, certify_all, movement_bound, reduced_gradient
 from transopt.proof.effect import Effect, effects
 from transopt.solvers import unlimited
 from transopt.solvers.choose import check_name, solve
@@ -312,3 +312,25 @@ def test_effects_side_by_side_are_those_of_each_command(make_problem: ProblemMak
             wanted = getattr(alone, name)
             size = max(float(np.abs(wanted).max()), 1.0)
             np.testing.assert_allclose(getattr(found.lasting, name), wanted, rtol=0, atol=1e-12 * size)
+
+
+def test_certificates_side_by_side_are_those_of_each_command(
+    make_problem: ProblemMaker, walled: Callable[..., TransientProblem]
+) -> None:
+    """The commands are taps of one grip and of others, one over a wall, wrong answers, and one that is not finite."""
+    problems = [make_problem(0.4, 5.0), make_problem(0.2, 5.0), make_problem(0.4, 1.0), walled(300.0, 0.2)]
+    problems.append(replace(problems[1], intensity=0.005, intensity_dB=1.0))
+    problems.append(replace(problems[0], target=replace(problems[0].target, window_m_s2=0 * problems[0].rest)))
+    solutions = [solve(problem) for problem in problems]
+    answers = [(Effect(of, each.command), each.multipliers) for of, each in zip(problems, solutions, strict=True)]
+    (first, _), multipliers = answers[0], solutions[1].multipliers
+    half = Effect(problems[0], 0.5 * first.command)
+    answers += [(half, multipliers), (Effect(problems[1], first.command + np.nan), multipliers)]
+    answers += [
+        (effect, multipliers.with_pair("current", 1e300 * first.command, -first.command)) for effect in (first, half)
+    ]
+    for found, (effect, own) in zip(certify_all(answers), answers, strict=True):
+        alone = certify(effect.problem, effect.command, own)
+        assert found.accepted == alone.accepted
+        for name in ("objective", "merit", "excess", "duality_gap", "dual_residual", "lower_bound"):
+            assert getattr(found, name) == pytest.approx(getattr(alone, name), rel=1e-9, abs=1e-12, nan_ok=True), name

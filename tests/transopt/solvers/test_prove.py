@@ -1,6 +1,6 @@
 """The compiled certificate states what `proof.certify` states, of answers and of what only looks like one."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,8 +16,8 @@ from transopt.plant.discretise import discretise
 from transopt.plant.state_space import StateSpace
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import certify
-from transopt.proof.effect import TEMPERATURE
+from transopt.proof.certify import certify, certify_all
+from transopt.proof.effect import TEMPERATURE, Effect
 from transopt.solvers import prove
 from transopt.solvers.choose import solve
 from transopt.solvers.native import extension
@@ -33,10 +33,11 @@ Tried = tuple[FloatArray, Multipliers]
 def compiled(monkeypatch: pytest.MonkeyPatch) -> None:
     """No other certificate is asked."""
 
-    def asked(*_: object, **__: object) -> Certificate:
-        raise AssertionError("left to the other certificate")
+    def asked(answers: Sequence[object]) -> list[Certificate]:
+        assert not answers, "left to the other certificate"
+        return []
 
-    monkeypatch.setattr(prove, "certify", asked)
+    monkeypatch.setattr(prove, "certify_all", asked)
 
 
 def test_without_the_extension_the_other_certificate_judges(
@@ -169,13 +170,13 @@ def test_what_the_call_does_not_know_is_left_to_the_other(
     make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     problem = make_problem(0.4, 5.0, stages=60)
-    answer, asked = solve(problem), list[TransientProblem]()
+    answer, asked = solve(problem), list[Effect]()
 
-    def judge(problem: TransientProblem, command: FloatArray, m: Multipliers, **_: object) -> Certificate:
-        asked.append(problem)
-        return certify(problem, command, m)
+    def judge(answers: Sequence[tuple[Effect, Multipliers]]) -> list[Certificate]:
+        asked.extend(effect for effect, _ in answers)
+        return certify_all(answers)
 
-    monkeypatch.setattr(prove, "certify", judge)
+    monkeypatch.setattr(prove, "certify_all", judge)
     hot = answer.multipliers.with_pair(TEMPERATURE, np.zeros(60), np.ones(60))
     silent = problem.towards(np.zeros(60))
     extended = replace(problem, stage=problem.stage.extended())

@@ -22,11 +22,10 @@ def residual(problem: TransientProblem, command: FloatArray, motion: Motion) -> 
     return np.asarray((command - problem.hand_over_command(motion))[..., problem.free_stages :])
 
 
-def transposed(problem: TransientProblem, by_residual: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Gradients by the commands (N,) and by the encoder's readings (N,) for a gradient (h,) by the residual."""
+def padded(problem: TransientProblem, by_residual: FloatArray) -> FloatArray:
+    """(..., N) gradient by the commands for a gradient (..., h) by the residual."""
     before = np.zeros((*by_residual.shape[:-1], problem.free_stages))
-    tail = np.concatenate([before, by_residual], axis=-1)
-    return tail, problem.feedback.transposed(-tail)
+    return np.concatenate([before, by_residual], axis=-1)
 
 
 def rows(problem: TransientProblem, stage: LinearStage) -> tuple[FloatArray, FloatArray]:

@@ -63,15 +63,22 @@ class LawRow(Row):
         return False
 
     def arguments(self, motion: Motion, command: FloatArray) -> FloatArray:
-        """(m, N) outputs, the nominal motion included."""
+        """(m, ..., N) outputs, the nominal motion included."""
         return np.stack([output_values(name, motion, command) + self.nominal[name] for name in self.outputs])
 
     def value(self, motion: Motion, command: FloatArray) -> FloatArray:
-        return self.law.value(self.arguments(motion, command))
+        return _along_courses(self.law.value, self.arguments(motion, command))
 
     def by_outputs(self, motion: Motion, command: FloatArray, gradient: FloatArray) -> dict[str, FloatArray]:
-        slopes = self.law.slopes(self.arguments(motion, command))
+        slopes = _along_courses(self.law.slopes, self.arguments(motion, command))
         return {name: slope * gradient for name, slope in zip(self.outputs, slopes, strict=True)}
+
+
+def _along_courses(law: Callable[[FloatArray], FloatArray], outputs: FloatArray) -> FloatArray:
+    """A function of outputs (m, N), evaluated at (m, ..., N) along each course."""
+    if outputs.ndim == 2:
+        return law(outputs)
+    return np.stack([_along_courses(law, outputs[:, course]) for course in range(outputs.shape[1])], axis=-2)
 
 
 @dataclass(frozen=True, repr=False)

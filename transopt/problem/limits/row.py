@@ -127,25 +127,26 @@ def output_values(name: str, motion: Motion, command: FloatArray) -> FloatArray:
 
 
 def transposed(
-    by_value: Iterable[tuple[Row, FloatArray]], motion: Motion, command: FloatArray
+    by_value: Iterable[tuple[Row, FloatArray]], motion: Motion, command: FloatArray, motors: int = 1
 ) -> tuple[Motion, FloatArray]:
-    """Gradients by the motion and, directly, by the commands (N,) for gradients (N,) by the values of rows.
+    """Gradients by the motion and, directly, by the commands (..., N) for gradients (..., N) by the values of rows.
 
     Parameters
     ----------
-    motion, command : point at which the gradients are taken; only nonlinear rows depend on it. With m motors the
-        commands, and the gradient by them, are (m, N).
+    motion, command : point at which the gradients are taken; only nonlinear rows depend on it. With several motors
+        the commands, and the gradient by them, are (..., m, N).
     """
-    if command.ndim > 1:
+    if motors > 1:
         return _transposed_by_motor(list(by_value), motion, command)
     by: dict[str, FloatArray] = {}
-    nothing = np.zeros(command.size)
+    nothing = np.zeros_like(command)
     for row, gradient in by_value:
         for output, part in row.by_outputs(motion, command, gradient).items():
             by[output] = by.get(output, nothing) + part
     by_command = by.pop(COMMAND, nothing)
     if (by_held := by.pop(HELD, None)) is not None:
-        by_command = by_command + np.append(by_held[1:], 0.0)
+        by_command = by_command.copy()
+        by_command[..., :-1] += by_held[..., 1:]
     return Motion(nothing, by.pop(INPUT, nothing), by.pop(VELOCITY, nothing), nothing, by), by_command
 
 
@@ -153,11 +154,11 @@ def _transposed_by_motor(
     by_value: list[tuple[Row, FloatArray]], motion: Motion, command: FloatArray
 ) -> tuple[Motion, FloatArray]:
     parts = [
-        transposed([each for each in by_value if each[0].motor == j], motion.of_motor(j), command[j])
-        for j in range(command.shape[0])
+        transposed([each for each in by_value if each[0].motor == j], motion.of_motor(j), command[..., j, :])
+        for j in range(command.shape[-2])
     ]
     inputs, velocities = (
-        np.stack([getattr(of, name) for of, _ in parts]) for name in ("plant_input", "velocity_m_s")
+        np.stack([getattr(of, name) for of, _ in parts], axis=-2) for name in ("plant_input", "velocity_m_s")
     )
     still = np.zeros_like(motion.acceleration_m_s2)
-    return Motion(still, inputs, velocities, np.zeros(command.shape[-1])), np.stack([by for _, by in parts])
+    return Motion(still, inputs, velocities, np.zeros(command.shape[-1])), np.stack([by for _, by in parts], axis=-2)

@@ -81,11 +81,6 @@ class Tracking:
         """Whether several directions are tracked, each with its own target."""
         return self.wanted.ndim == 3
 
-    def _squares(self, filtered: FloatArray) -> FloatArray:
-        """(p,) weighted sums of squares of each direction over its last K samples (T, p, K)."""
-        last = self.weights.shape[1] - filtered.shape[2]
-        return np.asarray(np.einsum("tk,tpk->p", self.weights[:, last:], filtered**2))
-
     @cached_property
     def counts_nothing(self) -> bool:
         """Whether the weighted rms of the filtered target is below `ZERO_M_S2`.
@@ -100,45 +95,33 @@ class Tracking:
         return float(self._filtered("lost_m2_s4"))
 
     def error(self, accelerations_m_s2: FloatArray) -> FloatArray:
-        """(T, ..., K) F e for accelerations (..., K) from tau_0 on, K <= N + M; (p, K) with several directions."""
-        K = accelerations_m_s2.shape[-1]
-        # Before tau_0 the device is at rest, and so is the filter of its acceleration.
-        return np.stack(
-            [
-                term.filtered(accelerations_m_s2) - wanted[..., self._lost : self._lost + K]
-                for term, wanted in zip(self.terms, self.wanted, strict=True)
-            ]
-        )
+        """(T, S, K) F e for accelerations (S, K) from tau_0 on, K <= N + M; (T, p, K) with several directions."""
+        return _errors([self], accelerations_m_s2[None])[:, 0]
 
     def value(self, accelerations_m_s2: FloatArray) -> float:
         """The cost at the accelerations (S, N + M) of every device, or (p, N + M) of every direction."""
-        if self._directions:
-            squares = self.mean(self._squares(self.error(accelerations_m_s2)))
-            return (self.lost_m2_s4 + squares) / self.energy_m2_s4
-        losses = self.losses(accelerations_m_s2)
-        return float(losses.max()) if self.worst else self.mean(losses)
+        return float(values([self], accelerations_m_s2[None])[0])
 
-    def mean(self, of_devices: FloatArray) -> float:
-        """Mean of numbers (S,) of the devices, or (p,) of the directions, weighted by their shares."""
-        return float(np.mean(of_devices) if self.shares is None else self.shares @ of_devices)
+    def mean(self, of_devices: FloatArray) -> FloatArray:
+        """Mean of numbers (..., S) of the devices, or (..., p) of the directions, weighted by their shares."""
+        found = np.mean(of_devices, axis=-1) if self.shares is None else of_devices @ self.shares
+        return np.asarray(found)
 
     def losses(self, accelerations_m_s2: FloatArray) -> FloatArray:
         """(S,) loss T_s of each device; the cost is their mean or the largest."""
-        errors = self.error(np.atleast_2d(accelerations_m_s2))
-        squares = np.einsum("tk,tsk->s", self.weights[:, self._lost :], errors**2)
-        return np.asarray((self.lost_m2_s4 + squares) / self.energy_m2_s4)
+        return np.asarray(_losses([self], np.atleast_2d(accelerations_m_s2)[None])[0])
 
     def above_mean(self, accelerations_m_s2: FloatArray) -> float:
         """Excess of the worst device's loss over the weighted mean, >= 0; zero at the saddle point."""
         losses = self.losses(accelerations_m_s2)
-        return max(float(losses.max()) - self.mean(losses), 0.0)
+        return max(float(losses.max() - self.mean(losses)), 0.0)
 
     def reward(self, accelerations_m_s2: FloatArray) -> float:
         """The reward for intensity that is subtracted from the cost: lam times the energy above the level, over E."""
         if self.intensity == 0:
             return 0.0
         made, wanted = self._energies(accelerations_m_s2)
-        return self.intensity * (made - self.level * wanted) / self.energy_m2_s4
+        return self.intensity * (made - self.level * wanted) / (self.energy_m2_s4 or 1.0)
 
     def energy_dB(self, accelerations_m_s2: FloatArray) -> float:
         """Mean energy of accelerations (S, >= N) in the last term over the target's, within the window [dB]."""
@@ -155,21 +138,7 @@ class Tracking:
         """Mean energy made and energy wanted in the last term within the window."""
         N = self.target.window_m_s2.size
         made = np.atleast_2d(self.terms[-1].filtered(accelerations_m_s2[..., :N]))
-        return self.mean(np.sum(made**2, axis=-1)), float(np.sum(self.wanted[-1, self._window] ** 2))
-
-    def gradient(self, acceleration_m_s2: FloatArray, share: float) -> FloatArray:
-        """(N + M,) gradient of the minimised cost by the acceleration (N + M,) of a device with this share."""
-        if self._directions:
-            assert self.shares is not None
-            by_direction = self.weights[:, None, self._lost :] * self.error(acceleration_m_s2)
-            by_direction *= 2 * self.shares[:, None] / self.energy_m2_s4
-            return np.asarray(sum(term.transposed(by) for term, by in zip(self.terms, by_direction, strict=True)))
-        by_filtered = self.weights[:, self._lost :] * self.error(acceleration_m_s2)
-        if self.intensity > 0:
-            N = self.target.window_m_s2.size
-            by_filtered[-1, :N] -= self.intensity * self.terms[-1].filtered(acceleration_m_s2)[:N]
-        by_filtered *= 2 * share / self.energy_m2_s4
-        return np.asarray(sum(term.transposed(by) for term, by in zip(self.terms, by_filtered, strict=True)))
+        return float(self.mean(np.sum(made**2, axis=-1))), float(np.sum(self.wanted[-1, self._window] ** 2))
 
     @cached_property
     def unit_wanted(self) -> FloatArray:
@@ -205,6 +174,65 @@ class Tracking:
         squares = self.unit_wanted[-1, : self.target.window_m_s2.size] ** 2
         turned = float(squares @ (self.weights[-1, self._window] / self.solved_weights[-1]))
         return lost + self.intensity * (self.level * float(np.sum(squares)) - turned)
+
+
+def values(costs: Sequence[Tracking], accelerations_m_s2: FloatArray) -> FloatArray:
+    """(G,) values of costs at accelerations (G, S, N + M) of every device, or (G, p, N + M) of every direction.
+
+    Parameters
+    ----------
+    costs : G of them, which differ in their targets alone.
+    """
+    first = costs[0]
+    if first._directions:
+        squares, (lost, energy) = _squares(costs, accelerations_m_s2), _sizes(costs)
+        return np.asarray((lost + first.mean(squares)) / energy)
+    losses = _losses(costs, accelerations_m_s2)
+    return np.asarray(losses.max(axis=1) if first.worst else first.mean(losses))
+
+
+def gradients(costs: Sequence[Tracking], accelerations_m_s2: FloatArray, shares: FloatArray) -> FloatArray:
+    """(G, S, N + M) gradients of the minimised costs by the accelerations (G, S, N + M), or (G, p, N + M).
+
+    Parameters
+    ----------
+    costs : as for `values`.
+    shares : (S,) shares of the devices, or (p,) weights of the directions.
+    """
+    first, (_, energy) = costs[0], _sizes(costs)
+    by_filtered = _errors(costs, accelerations_m_s2)
+    by_filtered *= first.weights[:, None, None, first._lost :]
+    if first.intensity > 0:
+        N = first.target.window_m_s2.shape[-1]
+        by_filtered[-1, ..., :N] -= first.intensity * first.terms[-1].filtered(accelerations_m_s2)[..., :N]
+    by_filtered *= 2 * shares[:, None] / energy[:, None, None]
+    return np.asarray(sum(term.transposed(by) for term, by in zip(first.terms, by_filtered, strict=True)))
+
+
+def _errors(costs: Sequence[Tracking], accelerations_m_s2: FloatArray) -> FloatArray:
+    """(T, G, S, K) F e for accelerations (G, S, K) from tau_0 on, K <= N + M; or (T, G, p, K) of directions."""
+    first, K = costs[0], accelerations_m_s2.shape[-1]
+    wanted = np.stack([cost.wanted[..., first._lost : first._lost + K] for cost in costs], axis=1)
+    # Before tau_0 the device is at rest, and so is the filter of its acceleration.
+    made = np.stack([term.filtered(accelerations_m_s2) for term in first.terms])
+    return made - (wanted if first._directions else wanted[:, :, None])
+
+
+def _squares(costs: Sequence[Tracking], accelerations_m_s2: FloatArray) -> FloatArray:
+    """(G, S) weighted sums of squares of the errors of each device, or (G, p) of each direction."""
+    errors, weights = _errors(costs, accelerations_m_s2), costs[0].weights[:, costs[0]._lost :]
+    return np.asarray(np.einsum("tk,tgsk,tgsk->gs", weights, errors, errors))
+
+
+def _losses(costs: Sequence[Tracking], accelerations_m_s2: FloatArray) -> FloatArray:
+    """(G, S) loss of each device."""
+    lost, energy = _sizes(costs)
+    return np.asarray((lost[:, None] + _squares(costs, accelerations_m_s2)) / energy[:, None])
+
+
+def _sizes(costs: Sequence[Tracking]) -> tuple[FloatArray, FloatArray]:
+    """(G,) parts of the lost samples and (G,) energies E, 1 for a target of zero."""
+    return np.array([cost.lost_m2_s4 for cost in costs]), np.array([cost.energy_m2_s4 or 1.0 for cost in costs])
 
 
 def filter_together(costs: Sequence[Tracking]) -> None:
