@@ -22,6 +22,7 @@ from transopt.proof.effect import TEMPERATURE, Effect, Together, alike, boxes_of
 BINDING_MULTIPLIER = 1e-9  # least multiplier of a binding limit [1/A]; interior-point methods leave 1e-13 on others
 BINDING_SLACK = 1e-5  # largest slack of a binding limit, as a share of the limit
 SILENT = 1e-12  # largest transient that is zero up to rounding over a wall, as a share of the limit
+MOST_TOGETHER = 2**17  # numbers in the commands certified side by side: a megabyte an array
 DRAWS = 4  # random perturbations by which `gradient_rounding` estimates the rounding error
 
 
@@ -160,10 +161,12 @@ def certify_all(answers: Sequence[tuple[Effect, Multipliers]]) -> list[Certifica
         else:
             found[i] = Certificate.nothing()
     for group in groups.values():
-        effects = [answers[i][0] for i in group]
-        clipped = [admissible(answers[i][0].problem, answers[i][1]) for i in group]
-        with np.errstate(over="ignore", invalid="ignore"):  # an unstable wall; multipliers of 1e300
-            found |= zip(group, _certificates(Together(effects, clipped)), strict=True)
+        some = max(MOST_TOGETHER // answers[group[0]][0].command.size, 1)
+        for part in (group[first : first + some] for first in range(0, len(group), some)):
+            effects = [answers[i][0] for i in part]
+            clipped = [admissible(answers[i][0].problem, answers[i][1]) for i in part]
+            with np.errstate(over="ignore", invalid="ignore"):  # an unstable wall; multipliers of 1e300
+                found |= zip(part, _certificates(Together(effects, clipped)), strict=True)
     return [found[i] for i in range(len(answers))]
 
 
