@@ -219,9 +219,10 @@ def _certificates(some: Together) -> list[Certificate]:
         by_heating = np.stack([effect.by_heating(each) for effect, each in zip(effects, multipliers, strict=True)])
     g = _reduced_gradients(some, by_heating)
     by_command = _sum(np.abs(g) * (problem.command_bound + np.abs(some.command)))
+    sums = (objective, objective - np.where(known, rewards, 0.0), slack, by_command)
+    J, merit, slacks, by_commands = (of.astype(float).tolist() for of in sums)  # plain numbers, of extended ones too
     numbers = zip(
-        *(of.tolist() for of in (objective, objective - np.where(known, rewards, 0.0))),
-        *(outside, finite.tolist(), tails, slack.tolist(), by_command.tolist(), g),
+        *(J, merit, outside, finite.tolist(), tails, slacks, by_commands, g),
         ([None] * len(hot) if by_heating is None else by_heating),
         strict=True,
     )
