@@ -29,6 +29,7 @@ from transopt.library.meta import SCHEMA, heat_is_in, most_parts, shared_left_ou
 from transopt.library.multipliers import ARRAYS, further_arrays
 from transopt.library.posed import PLANT
 from transopt.plant.state_space import POSITION, VELOCITY
+from transopt.problem.answer import Status
 from transopt.problem.objective.target import along_normal
 from transopt.recordings.recording import Recording
 from transopt.references.reference import COURSES, Reference
@@ -72,7 +73,8 @@ class Build:
         entries = list(self.all_entries())
         errors = [entry.figures.tap_error for entry in entries if entry.admitted]
         found = f", tap error {percent(min(errors))} to {percent(max(errors))} %" if errors else ""
-        certified = "certified stationary" if self.scene.nonlinear else "certified"
+        stationary = any(entry.status is Status.STATIONARY for entry in entries)
+        certified = "certified stationary" if stationary else "certified"
         return wrapped(
             f"Build({cut(self.scene.name)}: {self.scene.axes.in_words}, "
             f"{len(errors)} of {len(entries)} entries {certified} and replayed"

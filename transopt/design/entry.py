@@ -156,7 +156,7 @@ class Entry(Answered):
 
     @cached_property
     def status(self) -> Status:
-        """How the design ended; an entry of a library is OPTIMAL, or on a nonlinear plant STATIONARY."""
+        """How the design ended; an entry of a library is OPTIMAL, or STATIONARY where the problem is not convex."""
         return self._admission[0]
 
     @cached_property

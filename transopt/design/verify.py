@@ -102,7 +102,10 @@ def _shortfalls(library: Library, iv: int, ig: int, entry: Entry) -> list[str]:
         # The replay is compared with the prediction stored in the file.
         motion = replace(designed.effect.motion, acceleration_m_s2=library.acceleration_m_s2[iv, ig])
         stated = replace(designed, effect=Effect(entry.problem, designed.effect.command, motion))
-        found = list(admit(stated, played)[1])
+        status, reasons = admit(stated, played)
+        found = list(reasons)
+        if status is Status.STATIONARY and library.status[iv, ig] == Status.OPTIMAL.value:
+            found = [f"status in the file: {Status.OPTIMAL.value}; proven is: {status.value}"]
     found += departures(library, iv, ig, entry, replayed=True, of_bound=Certificate.GAP_TOLERANCE)
     off = float(np.abs(library.plant_input[iv, ig] - played.plant_input).max())
     if not off <= tolerated(entry.problem.limits.input_limit):

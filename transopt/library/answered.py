@@ -194,7 +194,7 @@ def answers_of(library: Library, grips: Sequence[int], prove: Prove, unlimited: 
             for place, problem, free in zip(places, problems, frees, strict=True)
         ]
     made = effects([(problem, library.command[place]) for place, problem in zip(places, problems, strict=True)])
-    answers = [_answer(library, *place, Status.OPTIMAL) for place in places]
+    answers = [_answer(library, *place, Status.OPTIMAL, Status.STATIONARY) for place in places]
     proofs = prove([(effect, answer.multipliers) for effect, answer in zip(made, answers, strict=True)])
     return list(map(_designed, problems, answers, proofs, made, frees))
 
@@ -223,10 +223,10 @@ def _frees(problems: Sequence[TransientProblem], unlimited: Free) -> list[_Free]
     return [_Free(command, *of) for (_, command), *of in zip(known, floors, peaks, strict=True)]
 
 
-def _answer(library: Library, iv: int, ig: int, accepted: Status) -> Solution:
-    """Command, multipliers and status that the file states; `accepted` is the status of a certified entry."""
+def _answer(library: Library, iv: int, ig: int, *accepted: Status) -> Solution:
+    """Command, multipliers and status that the file states; `accepted` are statuses of a certified entry."""
     claimed = str(library.status[iv, ig])
-    status = Status.OPTIMAL if claimed == accepted.value else Status.NOT_CERTIFIED
+    status = Status.OPTIMAL if claimed in [each.value for each in accepted] else Status.NOT_CERTIFIED
     spent = float(library.solve_time_s[iv, ig])
     return Solution(status, library.command[iv, ig], library.multipliers(iv, ig), "", claimed, 0, spent)
 

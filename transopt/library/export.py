@@ -97,7 +97,7 @@ def csv_file(library: Library) -> bytes:
         f"command k is issued at issue_time_s = -lead + k dt and held; {drive.name}, acceleration (what the "
         f"{drive.name} adds), recorded, free (without a {drive.name}) and target = recorded - free are those at "
         "switching_time_s = issue_time_s + delay",
-        *([library.claim] if library.nonlinear else []),
+        *([library.claim] if library.claim else []),
         f"dt_s: {grid.dt_s!r}",
         f"lead_s: {grid.lead_s!r}",
         f"delay_s: {grid.delay_s!r}",

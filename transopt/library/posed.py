@@ -21,7 +21,7 @@ from transopt.plant.discretise import StageModel
 from transopt.plant.state_space import Input, Output, StateSpace
 from transopt.plant.time_grid import TimeGrid
 from transopt.plant.wall import Wall
-from transopt.problem.answer import Multipliers
+from transopt.problem.answer import Multipliers, Status
 from transopt.problem.limits import OF_OUTPUTS
 from transopt.problem.limits.limit import SIDES
 from transopt.problem.limits.own import OwnLimit
@@ -35,10 +35,14 @@ if TYPE_CHECKING:  # a device that plays a library loads neither matplotlib nor 
     from transopt.scene.scene import Scene
 
 PLANT = ("A", "B", "C", "D", "Ce")
-# What is proven for commands of a nonlinear plant; every display of such a library prints it.
+# What is proven for commands that are no proven optima; every display of such a library prints it.
 NONLINEAR_CLAIM = (
     "nonlinear plant: each command is a certified stationary point, replayed on that plant; no bound says that there "
     "is no better one, and floor is of the plant as it is at rest"
+)
+STATIONARY_CLAIM = (
+    "limit that is not convex: such a command is a certified stationary point, replayed; no bound says that there is "
+    "no better one"
 )
 
 
@@ -61,7 +65,14 @@ class Posed(Held):
     @property
     def claim(self) -> str:
         """One sentence on what is proven if the commands are not proven optima; empty if they are."""
-        return NONLINEAR_CLAIM if self.nonlinear else ""
+        if self.nonlinear:
+            return NONLINEAR_CLAIM
+        return STATIONARY_CLAIM if self.is_stationary else ""
+
+    @property
+    def is_stationary(self) -> bool:
+        """Whether a command of it is proven to be a stationary point, and not proven to be the optimum."""
+        return bool((self.status == Status.STATIONARY.value).any())
 
     def check_linear(self, what: str) -> None:
         """Refuse an operation that needs a linear plant with one motor.

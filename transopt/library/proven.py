@@ -29,7 +29,6 @@ from transopt.library.multipliers import ARRAYS
 from transopt.library.statements import SAME, misstatements
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers, Status
 from transopt.problem.limits.limit import VIOLATION_TOLERANCE, tolerated
-from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify, certify_all, relaxed_bound
 from transopt.proof.effect import Effect
@@ -98,7 +97,8 @@ def _of_grip(library: Library, ig: int) -> Iterator[str]:
             yield f"{where}its status is: {library.status[iv, ig]}"
             continue
         proof = designed.certificate
-        if not (proof.accepted or (proof.is_stationary and (library.nonlinear or not _boundable(designed.problem)))):
+        claims_no_more = library.status[iv, ig] == Status.STATIONARY.value
+        if not (proof.accepted or (proof.is_stationary and (claims_no_more or not available))):
             yield where + proof.shortfall
             continue
         again = Stored(designed, targets[iv], figures[iv], library.posing().objective)
@@ -112,13 +112,13 @@ def _proofs(answers: Sequence[tuple[Effect, Multipliers]]) -> list[Certificate]:
 
 
 def _bounded(effect: Effect, multipliers: Multipliers, proof: Certificate) -> Certificate:
-    """A command's certificate; where the temperature binds, a convex problem bounds J from below."""
-    problem = effect.problem
-    if problem.thermal is not None and proof.is_stationary and not np.isfinite(proof.lower_bound):
-        proof = replace(proof, lower_bound=relaxed_bound(effect, multipliers))
-        if not proof.accepted:
-            lower = _bound_by_interior_point(problem.replaced(problem.thermal.relaxed()))
-            proof = replace(proof, lower_bound=max(proof.lower_bound, lower))
+    """A command's certificate; where a limit that is not convex binds, a convex problem bounds J from below."""
+    if not proof.is_stationary or np.isfinite(proof.lower_bound):
+        return proof
+    proof = replace(proof, lower_bound=relaxed_bound(effect, multipliers))
+    if not proof.accepted:
+        lower = _bound_by_interior_point(effect.problem.relaxed())
+        proof = replace(proof, lower_bound=max(proof.lower_bound, lower))
     return proof
 
 
@@ -131,11 +131,6 @@ def _bound_by_interior_point(relaxed: TransientProblem) -> float:
         return -np.inf
     multipliers = given.multipliers(answer.upper - answer.lower, answer.gradient)
     return certify(relaxed, given.command(answer.command), multipliers).lower_bound
-
-
-def _boundable(problem: TransientProblem) -> bool:
-    """Whether a lower bound can be computed here: not for a user's nonlinear limit, nor without the extension."""
-    return available and not any(name != TemperatureLimit.name for name in problem.nonlinear)
 
 
 def _unlimited(problems: Sequence[TransientProblem]) -> list[FloatArray | None]:

@@ -44,7 +44,7 @@ class Status(Enum):
 
     @property
     def admitted(self) -> bool:
-        """Whether a library may have the entry: its optimum is proven, or on a nonlinear plant its stationarity."""
+        """Whether a library may have the entry: its optimum is proven or, if that is not convex, its stationarity."""
         return self in (Status.OPTIMAL, Status.STATIONARY)
 
 

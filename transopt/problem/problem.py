@@ -195,6 +195,15 @@ class TransientProblem:
             return self
         return self._under(self.limits.without(*names))
 
+    def relaxed(self) -> "TransientProblem":
+        """A convex problem that admits every command which this one admits, so that its optimum is no larger.
+
+        The temperature limit is replaced by a convex one (`TemperatureLimit.relaxed`); other limits that are not
+        linear are dropped.
+        """
+        found = self if self.thermal is None else self.replaced(self.thermal.relaxed())
+        return found.without(*(name for name in self.nonlinear if name != TemperatureLimit.name))
+
     def alone(self) -> "TransientProblem":
         """The problem for its own device alone, without the spread and without a price on intensity."""
         return replace(self.without_intensity(), spread=(), shares=None, worst=False)

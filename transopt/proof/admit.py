@@ -27,7 +27,7 @@ def admit(designed: Designed, played: Replay) -> tuple[Status, list[str]]:
 
     Returns
     -------
-    The entry's status and, unless it is OPTIMAL or on a nonlinear plant STATIONARY, the reasons, one sentence each.
+    The entry's status and, unless it is OPTIMAL or STATIONARY, the reasons, one sentence each.
     """
     status, reasons = _admitted(designed, played)
     return status, designed.remarks or reasons
@@ -39,7 +39,7 @@ def _admitted(designed: Designed, played: Replay) -> tuple[Status, list[str]]:
     status, certificate, problem = designed.solution.status, designed.certificate, designed.problem
     if status is not Status.OPTIMAL:
         return status, [status.value]
-    # If a user's own limit is nonlinear, the certificate proves a stationary point only.
+    # Under a user's own limit that is not convex, the certificate proves a stationary point only.
     stationary = certificate.is_stationary and any(name != TemperatureLimit.name for name in problem.nonlinear)
     if not (certificate.accepted or stationary):
         below = certificate.is_stationary and certificate.relative_bound > certificate.BOUND_TOLERANCE
@@ -47,7 +47,7 @@ def _admitted(designed: Designed, played: Replay) -> tuple[Status, list[str]]:
     command = designed.solution.command
     shortfalls = played.shortfalls(problem, command, designed.effect.motion.acceleration_m_s2)
     if not shortfalls:
-        return Status.OPTIMAL, []
+        return Status.OPTIMAL if certificate.accepted else Status.STATIONARY, []
     unstable = unstable_wall(problem)
     if unstable:
         return Status.UNSTABLE_WALL, [unstable]

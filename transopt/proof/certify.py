@@ -91,14 +91,27 @@ def gradient_rounding(problem: TransientProblem, command: FloatArray, multiplier
 
 
 def admissible(problem: TransientProblem, multipliers: Multipliers) -> Multipliers:
-    """Clip multipliers to >= 0, and to zero where the temperature's headroom is infinite."""
+    """Clip multipliers to >= 0, and to zero where a bound is infinite.
+
+    There is no slack to such a bound, so that a multiplier would cost nothing and could cancel any gradient.
+    """
     clipped = multipliers.clipped()
-    if problem.thermal is None or not clipped.upper(TEMPERATURE).any():
-        return clipped
-    bounded = np.isfinite(problem.thermal.model.headroom_K)
-    return clipped.with_pair(
-        TEMPERATURE, clipped.lower(TEMPERATURE), np.where(bounded, clipped.upper(TEMPERATURE), 0.0)
-    )
+    pairs = dict(clipped.pairs)
+    for _, row in problem.rows():
+        if row.name in pairs:
+            lower, upper = pairs[row.name]
+            pairs[row.name] = _of_bound(lower, row.lower), _of_bound(upper, row.upper)
+    if problem.thermal is not None and TEMPERATURE in pairs:
+        lower, upper = pairs[TEMPERATURE]
+        pairs[TEMPERATURE] = np.zeros_like(lower), _of_bound(upper, problem.thermal.model.headroom_K)
+    return replace(clipped, pairs=pairs)
+
+
+def _of_bound(multipliers: FloatArray, bound: FloatArray | float) -> FloatArray:
+    """(N,) multipliers of a bound, zero where it is infinite."""
+    if isinstance(bound, np.ndarray):
+        return np.where(np.isfinite(bound), multipliers, 0.0)
+    return multipliers if math.isfinite(bound) else np.zeros_like(multipliers)
 
 
 def kink_gap(effect: Effect, multipliers: Multipliers, by_heating: FloatArray) -> float:
@@ -213,7 +226,7 @@ def _certificates(some: Together) -> list[Certificate]:
         if row.name in some.pairs:
             slack += sum(map(_paired, some.pairs[row.name], (below, above)))
     hot = [problem.thermal is not None and each.most(TEMPERATURE) > 0 for each in multipliers]
-    warm_up([effect for effect, is_hot in zip(effects, hot, strict=True) if is_hot or not effect.problem.stays_cool])
+    warm_up(effects)
     by_heating = None
     if any(hot):
         by_heating = np.stack([effect.by_heating(each) for effect, each in zip(effects, multipliers, strict=True)])
@@ -236,7 +249,10 @@ def _certificate(effect: Effect, multipliers: Multipliers, numbers: _Numbers) ->
         # A gap relative to an infinite objective would be accepted.
         return Certificate.nothing()
     outside = [(limit, by) for (limit, _), by in zip(problem.rows(), numbers.outside.tolist(), strict=True)]
-    violations, excess = left_over(problem, outside, float(np.abs(numbers.tail).max()), winding=effect)
+    if problem.thermal is not None:
+        hotter = float((effect.winding_C - problem.thermal.bounds_C).max())
+        outside.append((problem.thermal, np.inf if np.isnan(hotter) else hotter))
+    violations, excess = left_over(problem, outside, float(np.abs(numbers.tail).max()))
     if not (numbers.finite and np.isfinite(excess)):
         # Thermal runaway: there is no steady state.
         return replace(Certificate.nothing(), objective=J, merit=merit)
@@ -246,13 +262,13 @@ def _certificate(effect: Effect, multipliers: Multipliers, numbers: _Numbers) ->
     if problem.worst:
         # The mean by the shares bounds the worst device's loss from below, and `merit` is that loss.
         rest += problem.tracking.above_mean(effect.accelerations_m_s2)
-    gap, is_convex = numbers.by_command + rest, _is_convex(problem, multipliers)
+    gap, bounds = numbers.by_command + rest, is_convex(problem, multipliers)
     if gap > Certificate.GAP_TOLERANCE * max(J, OBJECTIVE_SCALE):
         gap = float(np.fmin(gap, movement_bound(problem, numbers.gradient) + rest))
     if problem.reference_is_zero:
         # For a target of zero in the window the answer is the zero transient, with or without a wall.
         is_zero = bool(np.abs(problem.transient_command(effect.command)).max() <= SILENT * problem.limits.input_limit)
-        dual_residual, gap, is_convex = 0.0, 0.0 if is_zero else np.inf, True
+        dual_residual, gap, bounds = 0.0, 0.0 if is_zero else np.inf, True
     elif not np.isfinite(gap):
         dual_residual, gap = np.inf, np.inf
     return Certificate(
@@ -262,7 +278,7 @@ def _certificate(effect: Effect, multipliers: Multipliers, numbers: _Numbers) ->
         excess=excess,
         dual_residual=dual_residual,
         duality_gap=gap,
-        lower_bound=merit - gap if is_convex else -np.inf,
+        lower_bound=merit - gap if bounds else -np.inf,
         finite=True,
     )
 
@@ -285,7 +301,7 @@ def _of_temperature(effect: Effect, multipliers: Multipliers, by_heating: FloatA
     return slacks + kink_gap(effect, multipliers, by_heating)
 
 
-def _is_convex(problem: TransientProblem, multipliers: Multipliers) -> bool:
+def is_convex(problem: TransientProblem, multipliers: Multipliers) -> bool:
     """Whether tangents of the Lagrangian give a lower bound: every limit with a multiplier is proven convex."""
     warms = problem.thermal is not None and problem.thermal.model.copper != 0
     if warms and multipliers.upper(TEMPERATURE).any():

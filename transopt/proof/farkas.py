@@ -8,8 +8,8 @@ from transopt.base.signals import FloatArray
 from transopt.problem.answer import Multipliers
 from transopt.problem.limits import hand_over
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import admissible, kink_gap, reduced_gradient
-from transopt.proof.effect import TEMPERATURE, Effect, boxes_of
+from transopt.proof.certify import admissible, is_convex, kink_gap, reduced_gradient
+from transopt.proof.effect import Effect, boxes_of
 
 MARGIN = 1e-9  # of the sum of the terms' absolute values, 1e5 times its rounding error
 
@@ -23,8 +23,8 @@ def is_infeasible(problem: TransientProblem, command: FloatArray, multipliers: M
     feasible. The multipliers of a solver that meets infeasibility grow along such a ray; nothing else of the solver
     is used here.
 
-    The kink of |mean i| counts as in the certificate. Heat is convex in the commands only if the copper's resistance
-    is constant, so multipliers on a temperature that warms it prove nothing.
+    The kink of |mean i| counts as in the certificate. Multipliers of a limit that is not convex prove nothing: such
+    is the temperature of copper whose resistance rises with it.
 
     Parameters
     ----------
@@ -40,8 +40,7 @@ def is_infeasible(problem: TransientProblem, command: FloatArray, multipliers: M
         pairs={row: (lower / largest, upper / largest) for row, (lower, upper) in clipped.pairs.items()},
         hand_over=clipped.hand_over / largest,
     )
-    thermal = problem.thermal
-    if thermal is not None and thermal.model.copper != 0 and ray.upper(TEMPERATURE).any():
+    if not is_convex(problem, ray):
         return False
     effect = Effect(problem, command)
     total = size = 0.0

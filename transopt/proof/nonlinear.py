@@ -18,7 +18,7 @@ from transopt.problem.answer import Certificate, Multipliers
 from transopt.problem.limits.row import transposed
 from transopt.problem.nonlinear import NonlinearProblem
 from transopt.problem.objective.tracking import gradients
-from transopt.proof.certify import is_stated, left_over
+from transopt.proof.certify import admissible, is_stated, left_over
 from transopt.proof.effect import Effect, boxes
 
 
@@ -105,7 +105,7 @@ def certify_nonlinear(
     linear = problem.linear
     if not is_stated(linear, command, multipliers):
         return Certificate.nothing()
-    effect, clipped = effect or NonlinearEffect(problem, command), multipliers.clipped()
+    effect, clipped = effect or NonlinearEffect(problem, command), admissible(linear, multipliers)
     if not effect.finite or not np.isfinite(effect.objective):
         return Certificate.nothing()
     limits, tail = boxes(linear, command, effect.motion, clipped), command[linear.free_stages :]

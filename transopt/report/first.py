@@ -22,7 +22,7 @@ from transopt.design.build import Build
 from transopt.design.price import Price, library_prices
 from transopt.library.columns import NAN, Row
 from transopt.library.library import Library
-from transopt.problem.answer import END_OF_LIMIT_NAME, MIN_FLOOR_OF_PUSHING_HAND, held_back
+from transopt.problem.answer import END_OF_LIMIT_NAME, MIN_FLOOR_OF_PUSHING_HAND, Status, held_back
 from transopt.problem.warm_coil import WarmCoil
 from transopt.scene.scene import Scene
 
@@ -56,16 +56,16 @@ class Look:
     @classmethod
     def of_build(cls, build: Build) -> "Look":
         """The first look at a build; refused entries are marked."""
-        nonlinear = build.scene.nonlinear
-        proof = "certified stationary and replayed" if nonlinear else "proven optimal and replayed"
-        return cls(build.scene.name, build.scene.axes, build.entries, proof, not nonlinear)
+        stationary = any(entry.status is Status.STATIONARY for entry in build.all_entries())
+        proof = "certified stationary and replayed" if stationary else "proven optimal and replayed"
+        return cls(build.scene.name, build.scene.axes, build.entries, proof, not build.scene.nonlinear)
 
     @classmethod
     def of_library(cls, library: Library, *, proven: bool) -> "Look":
         """The first look at a library. `proven`: whether its certificates were checked when it was read."""
         nv, ng = library.command.shape[:2]
         rows = [[library.row(iv, ig) for ig in range(ng)] for iv in range(nv)]
-        what = "stationary" if library.nonlinear else "optimal"
+        what = "stationary" if library.is_stationary else "optimal"
         proof = f"proven {what}" if proven else f"said to be {what}, which was not checked here"
         return cls(library.scene().name, library.axes, rows, proof, not library.nonlinear)
 

@@ -154,7 +154,6 @@ class OwnLimitTable(Section):
     coefficients: list[Finite] | None
     offsets: list[Finite] | None
     function: str | None
-    convex: list[bool]
 
 
 Instant = Annotated[list[Finite], Field(min_length=2, max_length=2)]  # a time [s] and a value there

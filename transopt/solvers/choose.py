@@ -12,7 +12,6 @@ from transopt.base.nearest import did_you_mean
 from transopt.base.signals import FloatArray
 from transopt.base.threads import one_blas_thread
 from transopt.problem.answer import Certificate, Multipliers, Solution, Status
-from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.effect import Effect, effects
 from transopt.solvers import riccati
@@ -180,13 +179,9 @@ def prove_all(
 def global_bound(problem: TransientProblem, options: SolverOptions) -> float:
     """Rigorous lower bound on J where the copper's warming or a user-defined limit makes the problem nonconvex.
 
-    The bound is the optimum of a convex relaxation less the relaxation's certified gap; minus infinity if that fails.
-    The relaxation replaces the temperature limit by a convex limit that every admissible command meets, and drops
-    every other nonlinear limit.
+    The bound is the optimum of `TransientProblem.relaxed` less its certified gap; minus infinity if that fails.
     """
-    thermal = problem.thermal
-    relaxed = problem if thermal is None else problem.replaced(thermal.relaxed())
-    relaxed = relaxed.without(*(name for name in problem.nonlinear if name != TemperatureLimit.name))
+    relaxed = problem.relaxed()
     first = _tried([relaxed], options)[0]
     return max((answer.proof.lower_bound for answer in _answers(relaxed, options, first)), default=-np.inf)
 

@@ -13,8 +13,8 @@ import keyword
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -100,7 +100,7 @@ class StatedLimit:
     lower, upper : bounds; None for no bound.
     coefficients : derivatives by the outputs if the expression is linear; otherwise None.
     expression : Function (outputs (m,), k) -> value.
-    convex : whether a lower and whether an upper bound leaves a convex set, proven from a constant second derivative.
+    convex : whether a lower and whether an upper bound leaves a convex set, as `_curvature` proves it.
     """
 
     name: str
@@ -128,7 +128,6 @@ class StatedLimit:
             "coefficients": None if self.coefficients is None else list(self.coefficients),
             "offsets": offsets,
             "function": None if self.coefficients is not None else str(self.expression.serialize()),
-            "convex": list(self.convex),
         }
 
 
@@ -167,9 +166,15 @@ def own_limit(
     stray = [str(each) for each in ca.symvar(value) if not ca.depends_on(ca.vertcat(u, k), each)]
     if stray:
         raise InputError(f"limit {name}: the expression has a symbol of its own, {stray[0]}")
-    slope, curvature = ca.jacobian(value, u), ca.hessian(value, u)[0]
+    slope, law_of_it = ca.jacobian(value, u), ca.Function(name, [u, k], [value], ["outputs", "stage"], ["value"])
+    for j, output in enumerate(symbols.used):
+        if slope[j].is_zero() and ca.depends_on(value, u[j]):
+            raise InputError(
+                f"limit {name}: it depends on {output} only in steps (floor, sign, a comparison), which no "
+                "derivative sees: state a smooth function instead, such as casadi.tanh"
+            )
     coefficients = None
-    if not ca.depends_on(slope, ca.vertcat(u, k)):
+    if _walked(law_of_it).degree <= 1 and not ca.depends_on(slope, ca.vertcat(u, k)):
         coefficients = tuple(float(each) for each in np.asarray(ca.evalf(ca.densify(slope))).ravel())
     return StatedLimit(
         name=name,
@@ -178,14 +183,108 @@ def own_limit(
         lower=None if lower is None else float(lower),
         upper=None if upper is None else float(upper),
         coefficients=coefficients,
-        expression=ca.Function(name, [u, k], [value], ["outputs", "stage"], ["value"]),
-        convex=_convex(curvature, ca.vertcat(u, k)),
+        expression=law_of_it,
+        convex=_curvature(law_of_it),
     )
 
 
-def _convex(curvature: ca.SX, arguments: ca.SX) -> tuple[bool, bool]:
-    if ca.depends_on(curvature, arguments):
-        return False, False
+class _Part(NamedTuple):
+    """A part of an expression as a function of the outputs.
+
+    Attributes
+    ----------
+    degree : that of the polynomial that it is; infinite if it is none, or not known to be one.
+    convex, concave : whether it is proven to be.
+    number : its value if it is a number; None if it depends on anything.
+    """
+
+    degree: float
+    convex: bool
+    concave: bool
+    number: float | None = None
+
+    @property
+    def negated(self) -> "_Part":
+        return _Part(self.degree, self.concave, self.convex)
+
+    def times(self, number: float | None) -> "_Part":
+        """This part times a number, or times an unknown number that may depend on the stage."""
+        if self.degree <= 1:
+            return _Part(self.degree, convex=True, concave=True)
+        if number is None:
+            return _Part(self.degree, convex=False, concave=False)
+        return self if number >= 0 else self.negated
+
+
+UNKNOWN = _Part(np.inf, convex=False, concave=False)
+
+
+def _walked(expression: ca.Function) -> _Part:
+    """Degree and curvature of an expression of outputs and stage by the operations that it is made of.
+
+    Derivatives do not tell: CasADi takes the second derivative of |x| and all derivatives of floor(x) as zero.
+    """
+    if not expression.is_a("SXFunction"):
+        return UNKNOWN
+    parts = [UNKNOWN] * expression.sz_w()
+    for i in range(expression.n_instructions()):
+        operation, given = expression.instruction_id(i), expression.instruction_input(i)
+        if operation == ca.OP_OUTPUT:
+            return parts[given[0]]
+        if operation == ca.OP_CONST:
+            found = _Part(0, convex=True, concave=True, number=float(expression.instruction_constant(i)))
+        elif operation == ca.OP_INPUT:
+            found = _Part(1 - given[0], convex=True, concave=True)  # the outputs, or the stage
+        else:
+            found = _combined(operation, [parts[j] for j in given])
+        parts[expression.instruction_output(i)[0]] = found
+    return UNKNOWN
+
+
+def _combined(operation: int, of: list[_Part]) -> _Part:
+    """What an operation makes of one or two parts."""
+    first, last = of[0], of[-1]
+    if all(part.degree == 0 for part in of):
+        return _Part(0, convex=True, concave=True)
+    if operation == ca.OP_SUB:
+        operation, last = ca.OP_ADD, last.negated
+    if operation == ca.OP_ADD:
+        return _Part(max(first.degree, last.degree), first.convex and last.convex, first.concave and last.concave)
+    if operation == ca.OP_NEG:
+        return first.negated
+    if operation == ca.OP_TWICE:
+        return first
+    if operation == ca.OP_IF_ELSE_ZERO and first.degree == 0:
+        return last  # a share of it, 0 or 1 by the stage
+    if operation == ca.OP_DIV and last.degree == 0:
+        return first.times(last.number)
+    if operation == ca.OP_MUL:
+        if first.degree == 0 or last.degree == 0:
+            return last.times(first.number) if first.degree == 0 else first.times(last.number)
+        return _Part(first.degree + last.degree, convex=False, concave=False)
+    if operation == ca.OP_SQ:
+        return _Part(2 * first.degree, convex=first.degree <= 1, concave=False)
+    if operation == ca.OP_FABS:
+        return _Part(np.inf, convex=first.degree <= 1, concave=False)
+    if operation == ca.OP_FMAX:
+        return _Part(np.inf, convex=first.convex and last.convex, concave=False)
+    if operation == ca.OP_FMIN:
+        return _Part(np.inf, convex=False, concave=first.concave and last.concave)
+    return UNKNOWN
+
+
+def _curvature(expression: ca.Function) -> tuple[bool, bool]:
+    """Whether an expression is proven to be concave, and whether convex: the sets that a lower, an upper bound leave.
+
+    A quadratic form is judged by the eigenvalues of its second derivatives, anything else by its operations.
+    """
+    part = _walked(expression)
+    if part.degree > 2:
+        return part.concave, part.convex
+    u, k = ca.SX.sym("u", expression.size1_in(0)), ca.SX.sym("k")
+    curvature = ca.hessian(expression(u, k), u)[0]
+    if ca.depends_on(curvature, ca.vertcat(u, k)):
+        return part.concave, part.convex
     values = np.linalg.eigvalsh(np.asarray(ca.evalf(ca.densify(curvature))))
     least = CURVED * float(np.abs(values).max(initial=0.0))
     return bool(values.max(initial=0.0) <= least), bool(values.min(initial=0.0) >= -least)
@@ -200,6 +299,11 @@ class CasadiLaw:
         m = self._value.size1_in(0)
         u, k = ca.SX.sym("u", m), ca.SX.sym("k")
         self._slopes = ca.Function("slopes", [u, k], [ca.jacobian(self._value(u, k), u).T])
+
+    @cached_property
+    def convex(self) -> tuple[bool, bool]:
+        """Whether a lower and whether an upper bound on it leaves a convex set."""
+        return _curvature(self._value)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return law, (self.text,)

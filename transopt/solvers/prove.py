@@ -13,7 +13,7 @@ from transopt.base.signals import FloatArray
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import certify_all, is_stated, left_over
+from transopt.proof.certify import admissible, certify_all, is_stated, left_over
 from transopt.proof.effect import TEMPERATURE, Effect, warm_up
 from transopt.solvers.native.extension import available, of_equal_sizes, prove, takes
 from transopt.solvers.stage_data import Stages, stages_of
@@ -86,7 +86,7 @@ def _side_by_side(answers: Sequence[tuple[Effect, Multipliers]], given: Sequence
     commands = _by_stage([effect.command for effect, _ in answers]) / scale
     by_rule = _by_stage([m.hand_over for _, m in answers]) * (scale / OBJECTIVE_SCALE)
     by_row = [
-        _by_row(effect.problem, multipliers, unit / OBJECTIVE_SCALE)
+        _by_row(effect.problem, admissible(effect.problem, multipliers), unit / OBJECTIVE_SCALE)
         for (effect, multipliers), unit in zip(answers, units, strict=True)
     ]
     warm_up([effect for effect, _ in answers if not effect.problem.stays_cool])
@@ -122,7 +122,7 @@ def _by_row(problem: TransientProblem, multipliers: Multipliers, by: FloatArray)
     for j, (_, row) in enumerate(problem.rows()):
         if row.name in multipliers.pairs:
             for side, values in zip(sides, multipliers.pairs[row.name], strict=True):
-                np.multiply(np.maximum(values, 0.0), by[j], out=side[:, j])
+                np.multiply(values, by[j], out=side[:, j])
     return sides
 
 

@@ -11,7 +11,6 @@ from transopt.base.tables import Table
 from transopt.base.units import unit_of
 from transopt.base.writing import percent, table
 from transopt.library.columns import EntryTable, TableRow
-from transopt.library.posed import NONLINEAR_CLAIM
 from transopt.problem.answer import AT_FLOOR, Status
 from transopt.scene.scene import Scene
 from transopt.study.axes import label
@@ -104,7 +103,7 @@ def summary(rows: Sequence[Row]) -> str:
         times = [number(row, "solve_ms") for row in there]
         text += f"; worst gap {gap:.0e}, violation {violation:.0e}; solver {np.median(times):.0f} ms in the median"
     if any(row["status"] == Status.STATIONARY.name for row in rows):
-        text += f"; {NONLINEAR_CLAIM}"
+        text += "; no bound says that there is no better command than a stationary one"
     return text
 
 

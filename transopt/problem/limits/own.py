@@ -32,6 +32,10 @@ class Law(Protocol):
     @property
     def text(self) -> str: ...
 
+    @property
+    def convex(self) -> tuple[bool, bool]:
+        """Whether a lower and whether an upper bound on it is proven to leave a convex set."""
+
     def value(self, outputs: FloatArray) -> FloatArray:
         """(N,) values."""
 
@@ -182,15 +186,15 @@ def own_limits(tables: Sequence[Mapping[str, Any]], setting: Setting, law_of: La
                 raise InputError(
                     f"limits.own: {table['name']} is not linear: give `law_of`, which evaluates its expression"
                 )
-            outputs = dict.fromkeys(names, 1.0)
+            outputs, law = dict.fromkeys(names, 1.0), law_of(table["function"])
             row = LawRow(
                 table["name"],
                 outputs,
                 lower,
                 upper,
                 nominal=part,
-                law=law_of(table["function"]),
-                convex=(upper == np.inf or table["convex"][1]) and (lower == -np.inf or table["convex"][0]),
+                law=law,
+                convex=(upper == np.inf or law.convex[1]) and (lower == -np.inf or law.convex[0]),
             )
         found.append(_made(table["name"], table["unit"], lower, upper, row))
     return tuple(found)

@@ -184,7 +184,7 @@ class TemperatureLimit(Limit):
         """Whether every command meets it that keeps the limit on the input, up to that limit's tolerance."""
         bound = self.bound_C(problem)
         over = WITHIN_TOLERANCE * max(bound - self.coil.start_winding_C, 0.0)
-        return bound + over <= self.limit_C - self.kept_back
+        return bound + over <= min(self.limit_C - self.kept_back, float(self.bounds_C.min()))
 
     def cannot_bind(self, problem: Posed) -> str:
         bound = self.bound_C(problem)

@@ -1,7 +1,10 @@
 """Limits of a user's own, from files outside the package: recognised, solved, certified, replayed, priced, named."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -10,11 +13,19 @@ from tests.benches import dense
 from tests.benches.libraries import proven_again
 from transopt.base.errors import InputError
 from transopt.design.build import Build, build_library
-from transopt.problem.answer import OBJECTIVE_SCALE, Status
-from transopt.proof.certify import certify
+from transopt.design.verify import verify_library
+from transopt.library.proven import doubts
+from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers, Status
+from transopt.problem.problem import TransientProblem
+from transopt.proof.certify import certify, reduced_gradient
 from transopt.proof.effect import Effect
+from transopt.proof.farkas import is_infeasible
 from transopt.recordings.recording import Recording
-from transopt.solvers.own import own_limit
+from transopt.report.first import Look, lines
+from transopt.solvers.own import CasadiLaw, StageSymbols, own_limit
+from transopt.solvers.prove import certified
+
+Judge = Callable[[TransientProblem, np.ndarray, Multipliers], Certificate]
 
 JOINT = (
     "to.own_limit('joint_force', 'N', lambda s: 6e4 * s.output('transmission stretch')"
@@ -61,7 +72,7 @@ def test_what_is_not_linear_goes_to_ipopt_and_is_certified(
 ) -> None:
     build = solved(tmp_path, taps, limit)
     entry = build.entries[-1][0]
-    assert entry.status is Status.OPTIMAL, entry.shortfalls
+    assert entry.status is (Status.OPTIMAL if name == "area" else Status.STATIONARY), entry.shortfalls
     assert entry.solution.solver == "casadi-ipopt"
     assert f"{name} {value:g}" in entry.binding
     assert entry.certificate.is_stationary
@@ -78,8 +89,6 @@ def test_what_is_not_linear_goes_to_ipopt_and_is_certified(
 def test_the_gradient_of_a_law_is_that_of_differences(tmp_path: Path, taps: list[Recording]) -> None:
     entry = solved(tmp_path, taps, POWER).entries[-1][0]
     problem, command = entry.problem, entry.solution.command
-    from transopt.proof.certify import reduced_gradient
-
     m = entry.solution.multipliers
     (row,) = problem.limits["power"].rows(problem)
     weight = m.upper("power") - m.lower("power")
@@ -130,6 +139,70 @@ def test_a_file_that_is_none_is_refused_in_one_line(tmp_path: Path, text: str, w
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.parametrize("judge", [certify, certified], ids=["python", "compiled"])
+def test_a_multiplier_of_no_bound_proves_nothing(tmp_path: Path, taps: list[Recording], judge: Judge) -> None:
+    """It would cost nothing and could cancel any gradient: the zero command would be optimal, or all infeasible."""
+    above = "to.own_limit('above', 'A', lambda s: s.command, upper=100.0)"
+    below = "to.own_limit('below', 'A', lambda s: -s.command, upper=100.0)"
+    entry = solved(tmp_path, taps, f"{above}, {below}").entries[-1][0]
+    assert judge(entry.problem, entry.solution.command, entry.solution.multipliers).accepted
+    problem, free = entry.problem, entry.problem.free_stages
+
+    def silenced(m: Multipliers, g: np.ndarray) -> Multipliers:
+        m, g = replace(m, hand_over=-g[free:]), np.append(g[:free], 0 * g[free:])
+        m = m.with_pair("above", np.maximum(g, 0.0), 0 * g)
+        return m.with_pair("below", np.maximum(-g, 0.0), 0 * g)
+
+    for share in (0.0, 0.5, -1.0):
+        command, none = share * entry.solution.command, Multipliers.zero(problem)
+        forged = silenced(none, reduced_gradient(Effect(problem, command), none))
+        assert np.abs(reduced_gradient(Effect(problem, command), forged)).max() < 1e-12
+        found = judge(problem, command, forged)
+        assert not found.accepted
+        assert found.lower_bound <= entry.certificate.objective * (1 + 1e-9)
+
+    beyond = np.append(np.full(free, 5.0), np.zeros(problem.hand_over_samples))
+    one = Multipliers.zero(problem).with_pair("current", 0 * beyond, 1.0 * (np.arange(beyond.size) == 60))
+    ray = silenced(one, reduced_gradient(Effect(problem, beyond), one, of_limits_alone=True))
+    assert not is_infeasible(problem, beyond, ray)
+
+
+def test_a_point_under_a_limit_that_is_not_convex_is_called_stationary(tmp_path: Path, taps: list[Recording]) -> None:
+    """The command has to stay away from 2 A, above or below: which is better, no tangent says."""
+    apart = "to.own_limit('apart', 'A', lambda s: ca.fabs(s.current - 2), lower=0.5)"
+    build = solved(tmp_path, taps, apart)
+    entry = build.entries[-1][0]
+    assert entry.status is Status.STATIONARY, entry.shortfalls
+    assert not entry.certificate.accepted
+    assert entry.prices == []
+    library, text = build.library, " ".join(line for line, _ in lines(build, Look.of_build(build), 100))
+    assert library is not None
+    assert library.claim.startswith("limit that is not convex")
+    assert "certified stationary" in text
+    assert "optimal" not in text
+    proven_again(library, tmp_path)
+    said = replace(library, status=np.array([[Status.OPTIMAL.value]] * library.speeds_m_s.size))
+    assert any("lower bound" in doubt for doubt in doubts(said))
+    assert any(Status.STATIONARY.value in found.shortfalls[0] for found in verify_library(said) if found.shortfalls)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        lambda s: ca.floor(s.current),
+        lambda s: ca.sign(s.current),
+        lambda s: s.current > 1,
+        lambda s: s.velocity + ca.ceil(s.current),
+        lambda s: ca.if_else(s.current > 0, s.velocity, -s.velocity),
+    ],
+)
+def test_what_goes_in_steps_alone_is_refused(law: Callable[[StageSymbols], ca.SX]) -> None:
+    with pytest.raises(InputError, match="depends on current only in steps") as refused:
+        own_limit("steps", "A", law, upper=1.0)
+    assert "casadi.tanh" in str(refused.value)
+    assert own_limit("smooth", "A", lambda s: ca.tanh(s.current / 0.1), upper=0.9).coefficients is None
+
+
 def test_what_is_linear_and_what_is_convex() -> None:
     linear = own_limit("a", "A", lambda s: 2 * s.current - s.command + 0.1 * s.stage, upper=1.0)
     assert linear.coefficients == (2.0, -1.0)
@@ -138,3 +211,29 @@ def test_what_is_linear_and_what_is_convex() -> None:
     assert own_limit("b", "", lambda s: s.current**2, upper=1.0).convex == (False, True)
     assert own_limit("c", "", lambda s: s.current * s.velocity, upper=1.0).convex == (False, False)
     assert own_limit("d", "", lambda s: s.current**4, upper=1.0).convex == (False, False)  # true, and not proven
+
+
+@pytest.mark.parametrize(
+    ("law", "convex"),
+    [
+        (lambda s: ca.fabs(s.current - 2), (False, True)),
+        (lambda s: 1 - 2 * ca.fabs(s.current), (True, False)),
+        (lambda s: ca.fmax(s.current, -s.velocity) / 3, (False, True)),
+        (lambda s: ca.fmin(s.current, s.velocity), (True, False)),
+        (lambda s: s.current + ca.fabs(s.velocity), (False, True)),
+        (lambda s: ca.fabs(s.current) - ca.fabs(s.velocity), (False, False)),
+        (lambda s: ca.fabs(s.current * s.velocity), (False, False)),
+        (lambda s: s.stage * ca.fabs(s.current), (False, False)),
+        (lambda s: s.stage * s.current, (True, True)),
+        (lambda s: s.stage * s.current**2, (False, False)),
+        (lambda s: (s.current + s.velocity) ** 2 - s.current**2, (False, False)),
+        (lambda s: ca.if_else(s.current > 1, s.current**2, s.current), (False, False)),
+        (lambda s: ca.if_else(s.stage > 1, s.current, 0.0), (True, True)),
+        (lambda s: ca.sqrt(s.current), (False, False)),
+    ],
+)
+def test_a_kink_is_no_straight_line(law: Callable[[StageSymbols], ca.SX], convex: tuple[bool, bool]) -> None:
+    found = own_limit("kinked", "A", law, lower=-1.0, upper=1.0)
+    assert found.coefficients is None
+    assert found.convex == convex
+    assert CasadiLaw(found.table(3)["function"]).convex == convex
