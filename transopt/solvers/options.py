@@ -51,10 +51,11 @@ class TrialOptions(SolverOptions):
 
     Attributes
     ----------
-    spans : stages up to which limits bound in the last trial of each target, where the next search begins. Solvers
-        write it; it changes the time of a trial, and its answer by less than the tolerance.
+    spans : for each target, limit on the input -> stages up to which limits bound in the last trial with it; the next
+        search begins there. Solvers write it; it changes the time of a trial, and its answer by less than the
+        tolerance.
     """
 
     brief: ClassVar[bool] = True
 
-    spans: dict[int, tuple[Target, int]] = field(default_factory=dict, compare=False, repr=False)
+    spans: dict[int, tuple[Target, dict[float, int]]] = field(default_factory=dict, compare=False, repr=False)

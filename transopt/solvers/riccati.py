@@ -4,7 +4,7 @@ The extension is optional. Where it could not be built, `available` is False and
 """
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -27,7 +27,9 @@ BOUND = 1e-6  # least multiplier, in scaled units, of a limit that binds; others
 # Searches that follow a trial have one of few lengths, so that taps whose limits bind about as long share a search.
 LENGTHS = 16 / 3  # of all stages; the shortest is that of a search of which nothing is known
 BEYOND = 24  # stages after the last at which a limit bound in the trial before, since that moves a little
-MOST_SPANS = 256
+MOST_TARGETS, MOST_LIMITS = 256, 32  # targets of which trials are known, and limits of each
+
+Spans = dict[int, tuple[Target, dict[float, int]]]  # as `TrialOptions.spans`
 ROWS_OF_HEAT = 4  # rows beside those of the limits: the winding's temperature, and the magnitude of the mean current
 
 # Status of each code that `tr_solve` returns.
@@ -66,19 +68,36 @@ def solve(problems: Sequence[TransientProblem], options: SolverOptions) -> list[
         first=[] if spans is None else [_first_length(each.problem, spans) for each in given],
     )
     if spans is not None:
-        if len(spans) > MOST_SPANS:
-            spans.clear()
-        targets = [each.problem.target for each in given]
-        spans |= {id(target): (target, _span(answer)) for target, answer in zip(targets, answers, strict=True)}
+        for each, answer in zip(given, answers, strict=True):
+            _note(spans, each.problem, _span(answer))
     spent = (time.perf_counter() - start) / max(len(given), 1)
     return [_solution(each, answer, spent) for each, answer in zip(given, answers, strict=True)]
 
 
-def _first_length(problem: TransientProblem, spans: Mapping[int, tuple[Target, int]]) -> int:
-    """Stages at which limits are stated first, by the last trial of the same target; 0 where there was none."""
-    target, span = spans.get(id(problem.target), (None, 0))
+def _note(spans: Spans, problem: TransientProblem, span: int) -> None:
+    """Keep up to which stage limits bound in a trial, and forget what is oldest."""
+    if len(spans) > MOST_TARGETS:
+        spans.clear()
+    limit, (_, known) = problem.limits.input_limit, spans.setdefault(id(problem.target), (problem.target, {}))
+    known.pop(limit, None)
+    known[limit] = span
+    if len(known) > MOST_LIMITS:
+        del known[next(iter(known))]
+
+
+def _first_length(problem: TransientProblem, spans: Spans) -> int:
+    """Stages at which limits are stated first, by the trials of the same target; 0 where there was none.
+
+    Of the trials under the next lower and the next higher limit the longer counts, since too short a search is begun
+    anew.
+    """
+    _, known = spans.get(id(problem.target), (None, {}))
+    limit = problem.limits.input_limit
+    lower = max((at for at in known if at <= limit), default=None)
+    higher = min((at for at in known if at >= limit), default=None)
+    span = max((known[at] for at in (lower, higher) if at is not None), default=-BEYOND)
     length = max(round(problem.grid.stages / LENGTHS), 1)
-    return length * -(-(span + BEYOND) // length) if target is problem.target else 0
+    return length * -(-(span + BEYOND) // length)
 
 
 def _span(answer: Answer) -> int:

@@ -106,7 +106,7 @@ def test_where_a_search_begins_does_not_change_its_answer(saturated: TransientPr
     assert stated[1] >= max(first - 2, stated[2])
 
 
-def test_a_trial_begins_where_limits_bound_in_the_one_before(
+def test_a_trial_begins_where_limits_bound_under_the_next_limits_before(
     saturated: TransientProblem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     begun = list[list[int]]()
@@ -117,11 +117,14 @@ def test_a_trial_begins_where_limits_bound_in_the_one_before(
 
     monkeypatch.setattr(riccati, "interior_points", noted)
     trial, late = TrialOptions("riccati"), with_numbers(saturated, current_A=1.0)
-    for problem in (late, late, saturated, saturated):
+    between = with_numbers(saturated, current_A=(1.0 + saturated.limits.input_limit) / 2)
+    for problem in (late, late, saturated, saturated, between, late):
         riccati.solve([problem], trial)
-    bound = [last_bound(answer(problem, 0)) for problem in (late, saturated)]
-    assert [first for (first,) in begun[::2]] == [0, begun[1][0]]
-    for (first,), last in zip(begun[1::2], bound, strict=True):
+    of_late, of_saturated = (last_bound(answer(problem, 0)) for problem in (late, saturated))
+    assert of_saturated < of_late
+    begins = [first for (first,) in begun]
+    assert begins[0] == 0  # nothing is known yet
+    for first, last in zip(begins[1:], (of_late, of_late, of_saturated, of_late, of_late), strict=True):
         assert last < first < last + riccati.BEYOND + 1 + saturated.grid.stages / riccati.LENGTHS
     riccati.solve([saturated.towards(2 * saturated.reference_m_s2)], trial)
     riccati.solve([late], SolverOptions("riccati"))
