@@ -53,10 +53,10 @@ def percent(value: float) -> str:
     return "-" if math.isnan(value) else f"{100 * value:.2f}" if value < 0.09995 else f"{100 * value:.1f}"
 
 
-def rounded_up(value: float) -> float:
-    """Round up to four digits or to 0.001, whichever is finer, so that a printed bound is sufficient."""
-    grain = 10.0 ** (math.floor(math.log10(abs(value))) - 3) if value else 1.0
-    return math.ceil(value / min(grain, 1e-3)) * min(grain, 1e-3)
+def rounded_up(value: float, digits: int = 4) -> float:
+    """Round a number >= 0 up to so many digits, so that a printed bound is sufficient."""
+    grain = 10.0 ** (math.floor(math.log10(value)) + 1 - digits) if value else 1.0
+    return float(f"{math.ceil(value / grain) * grain:.{digits}g}")
 
 
 def rounded_down(value: float, digits: int = 3) -> float:
