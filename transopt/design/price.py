@@ -30,7 +30,7 @@ AMPLE = (1.5, 6.0, 30.0)  # bounds tried as not binding, in multiples of what th
 NEAR = 1e-5  # share of a limit; a limit does not bind while the distance to it is larger
 CLEARANCE = 2 * NEAR  # distance of a sufficient bound above the peak, as a share of the limit
 ASIDE = 1.02  # factor on the estimate of a sufficient bound: close to it, but not binding
-DIGITS = 2  # of the rise to a sufficient bound, which a person would write so
+DIGITS = 2  # of the rise to a sufficient bound: more are in nobody's data sheet
 NUDGE = 1e-4  # relative increase of a bound that was estimated as sufficient but binds; four times that on repetition
 MOST_GUESSES, MOST_TRIALS = 8, 30  # trials from peaks, and trials in all: the others bisect
 STEP_SHARE = 0.25  # largest step relative to the limit, where the step of its kind is larger than the limit
@@ -46,9 +46,8 @@ class Price:
     bound : the present bound; for the coil the temperature.
     tap_error : tap error of the optimum at the present bound, over the time of the intention.
     step, then : increase of the bound, and tap error of the optimum with it; NaN if that optimum is not certified.
-    enough, there : a bound at which the limit does not bind, and the tap error there. It is the present bound plus the
-        least rise that suffices, rounded up to two digits; NaN if no such answer is certified, infinity and NaN if the
-        limit still binds at `tried`.
+    enough, there : the least bound at which the limit does not bind, its rise rounded up to two digits, and the tap
+        error there; NaN if no such answer is certified, infinity and NaN if the limit still binds at `tried`.
     tried : the widest bound that was solved for; infinite if the problem was solved without the limit.
     """
 

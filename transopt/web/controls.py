@@ -84,6 +84,15 @@ def input_key(scene: Scene) -> str:
     return "limits.current_A" if scene.driven_by.unit == "A" else "limits.voltage_V"
 
 
+def following(scene: Scene) -> dict[str, float]:
+    """Key -> effective value of limits that follow from others: the transient one, its ratio to the steady one."""
+    limits = scene.limits
+    found = {input_key(scene): limits.transient_input}
+    if scene.driven_by.unit == "A":
+        found["limits.beta"] = float(f"{limits.transient_input / limits.steady_input:.6g}")
+    return found
+
+
 def controls(scene: Scene) -> list[Control]:
     """All controls of the page, table by table."""
     found = [control for key in keys(scene) if (control := _control(scene, key)) is not None]
@@ -164,11 +173,10 @@ def _end(scene: Scene, control: Control, end: float) -> float:
 
 
 def _now(scene: Scene, key: Key) -> Value:
-    """The effective value of a key; for the transient limit, the number that beta and the steady current give."""
-    if key.path == input_key(scene):
-        return scene.limits.transient_input
-    if key.path == "limits.beta" and scene.driven_by.unit == "A":
-        return float(f"{scene.limits.transient_input / scene.limits.steady_input:.6g}")
+    """The effective value of a key."""
+    followed = following(scene)
+    if key.path in followed:
+        return followed[key.path]
     stated = key.value
     if stated is None and not key.optional and getattr(scene, key.path.split(".", 1)[0]) is not None:
         return key.default

@@ -20,6 +20,7 @@ from scipy import signal
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
+from transopt.web.controls import following
 from transopt.web.crew import Crew, service_name
 from transopt.web.fields import in_words
 from transopt.web.frames import arrays, curves, frame
@@ -174,7 +175,8 @@ class Session:
         )
         order = service.order(int(message["selected"]))
         view_s = None if view is None else (float(view[0]), float(view[1]))
-        head = {"type": "curves", "id": number, "places": [vars(place) for place in service.places]}
+        places = [vars(place) for place in service.places]
+        head = {"type": "curves", "id": number, "places": places, "following": following(service.scene)}
         # All taps in one frame, so that all displays show results of the same frame number.
         self._send(curves(head, self._crew.quick(self._service_name, service, order), view_s))
         if message.get("final"):

@@ -59,10 +59,12 @@ FRAMES = """() => ({
   head: document.querySelector("#selected").textContent.match(/tap error ([0-9.]+)/)[1],
   handle: document.querySelector("#handle span").textContent,
   asked: document.querySelector("[id='of-limits.current_A-number']").value,
+  ratio: document.querySelector("[id='of-limits.beta-number']").value,
+  limit: page.frame.taps[1].input_limit,
 })"""
 
 
-def test_one_answer_drives_all_that_shows_a_result_also_while_dragging(window: Window) -> None:
+def test_one_answer_drives_all_that_shows_a_result_also_while_dragging(window: Window, small: Scene) -> None:
     assert window.inked("start") == 0  # nothing differs from it yet
     box = window.see(CURRENT).bounding_box()
     y = box["y"] + box["height"] / 2
@@ -79,6 +81,7 @@ def test_one_answer_drives_all_that_shows_a_result_also_while_dragging(window: W
         assert len(set(sample["frames"])) == 1
         assert sample["cell"] == sample["row"] == sample["head"]
         assert sample["handle"] == f"{sample['asked']} A"
+        assert float(sample["ratio"]) == pytest.approx(sample["limit"] / small.limits.steady_input, rel=1e-3)
     assert len({sample["frames"][0] for sample in found}) > 3  # it was drawn meanwhile
     assert len({sample["asked"] for sample in found}) > 30
     window.rests()

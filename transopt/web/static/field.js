@@ -74,6 +74,11 @@ export class Field {
     this.set(value);
   }
 
+  // A value that follows from another one, unless a number is being typed here.
+  follow(value) {
+    if (value !== this.value && !this.typing) this.set(value);
+  }
+
   set(value) {
     this.value = value;
     const off = value === null || value === undefined;

@@ -83,6 +83,7 @@ function restore(requested) {
   if (!requested) return;
   state.requested = requested;
   state.moving = false;
+  state.last = "";
   showRequested();
   wanted.forget();
   solving();
@@ -211,6 +212,8 @@ function drawn(message, arrays) {
   if (state.asOpened && covers(frame, frame.whole)) state.start = frame;
   if (JSON.stringify(message.places) !== JSON.stringify(state.places)) placed(message.places);
   sound.forget();
+  const asked = { ...state.requested.changes, [state.last]: null };
+  for (const [key, value] of Object.entries(message.following)) if (!(key in asked)) sliders.get(key)?.follow(value);
   show(state.moving);
   const began = requests.done(message.id);
   requestAnimationFrame(() => {
