@@ -44,6 +44,21 @@ class Trials(NamedTuple):
     refused: str = ""
 
 
+class AskedError(InputError):
+    """Files leave a fact open; only the user knows which of the answers that were tried on them is right.
+
+    Attributes
+    ----------
+    problem : what is unknown, one sentence that begins with the file's name.
+    good : as `Trials.good`.
+    """
+
+    def __init__(self, unclear: UnclearError, tried: Trials) -> None:
+        super().__init__(in_a_line(unclear, tried))
+        name = None if unclear.file is None else Path(unclear.file.name)
+        self.problem, self.good = printable(f"{shown_path(name)}{unclear.problem}"), tried.good
+
+
 def trials(
     read: Callable[[Answer], Found],
     describe: Callable[[Found], str],
@@ -164,24 +179,20 @@ def doubt(found: Taps) -> UnclearError | None:
     return UnclearError(odd.implausible, answers, Path(odd.recording.source))
 
 
-def usable(read: Callable[[Answer], Taps], after: str) -> Taps:
+def usable(read: Callable[[Answer], Taps]) -> Taps:
     """The taps, if a library may be made from them.
-
-    Parameters
-    ----------
-    after : what to do with the proposed options, if the caller is no command line.
 
     Raises
     ------
-    InputError : the file leaves a fact open, or holds no plausible tap; with the options that were tried.
+    AskedError : the file leaves a fact open, or holds no plausible tap.
+    InputError : the file cannot be read.
     """
     try:
         found = read({})
     except UnclearError as error:
-        raise InputError(in_a_line(error, trials(read, summary, doubt, oddness, error, {})) + after) from None
-    refused = refusal(found, read)
-    if refused is not None:
-        raise InputError(f"{refused}{after}")
+        raise AskedError(error, trials(read, summary, doubt, oddness, error, {})) from None
+    if (refused := refusal(found, read)) is not None:
+        raise refused
     return found
 
 
@@ -195,9 +206,9 @@ def asked_in_scene(unclear: UnclearError, settings: Recordings) -> InputError:
     return InputError(in_a_line(unclear, tried, keys))
 
 
-def refusal(found: Taps, read: Callable[[Answer], Taps]) -> InputError | None:
+def refusal(found: Taps, read: Callable[[Answer], Taps]) -> AskedError | None:
     """Why no library should be made from these taps, with the options that were tried; None if one may be."""
     question = doubt(found)
     if question is None:
         return None
-    return InputError(in_a_line(question, trials(read, summary, doubt, oddness, question, {"units": found[1].units})))
+    return AskedError(question, trials(read, summary, doubt, oddness, question, {"units": found[1].units}))

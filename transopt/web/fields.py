@@ -2,19 +2,17 @@
 
 import re
 from dataclasses import dataclass
+from typing import Any
 
+from transopt.base.units import unit_of, words_of
+from transopt.files.unclear import Answer
 from transopt.web.controls import controls
 from transopt.web.service import Service
 
 # Wording for the command line and Python -> wording for the page.
 ELSEWHERE = (
-    (
-        r"; options of `transopt taps`",
-        r'; or state names with units, time [s], in the field "columns in their order"; or, where '
-        r'the numbers are right, tick "take numbers as they are"\g<0>',
-    ),
     (r"--accept takes it, or recordings\.implausible = \"accept\" in the scene", 'tick "take numbers as they are"'),
-    (r"name it: recordings\.speed_by_file_m_s = .*\)$", 'fill in the field "speed where a file states none"'),
+    (r", and no scene does, recordings\.speed_by_file_m_s = .*\}", ""),
     (r"(--|recordings\.)speed(_m_s)?\b", 'the field "speed where a file states none"'),
     (r"the motor's i_peak_A = ", "the motor's peak current of "),
     (r"--recordings( FOLDER)?", "the option --recordings of transopt page"),
@@ -49,3 +47,21 @@ def in_words(words: str, service: Service | None) -> Refusal:
     for pattern, instead in ELSEWHERE:
         words = re.sub(pattern, instead, words)
     return Refusal(words, key)
+
+
+def choice(answer: Answer) -> str:
+    """An answer to what a file leaves open, in the words of a button."""
+    return ", ".join(_stated(key, value) for key, value in answer.items())
+
+
+def _stated(key: str, value: Any) -> str:
+    match key:
+        case "units":
+            return ", ".join(f"{name} in {unit.replace(' @ ', ' at ')}" for name, unit in value.items())
+        case "columns":
+            return f"columns {', '.join(value)}"
+        case "implausible":
+            return "the numbers are right"
+        case _:
+            unit = unit_of(key)
+            return f"{words_of(key)} {value:g} {unit}".rstrip() if unit else f"{words_of(key)} {value}"

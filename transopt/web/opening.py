@@ -63,7 +63,8 @@ def own_taps(of: Service, folder: Path, files: Sequence[str], reading: Mapping[s
 
     Raises
     ------
-    InputError : a file that is not a tap, or a missing speed.
+    AskedError : a file that leaves a fact open, such as its units or the speed.
+    InputError : a file that is not a tap.
     """
     scene = of.opened
     if scene.targets:
@@ -77,7 +78,7 @@ def own_taps(of: Service, folder: Path, files: Sequence[str], reading: Mapping[s
     def read(answer: Answer) -> Taps:
         return prepared(with_values(taken, {"recordings": joined(taken.recordings.model_dump(), answer)}).recordings)
 
-    taps, settings = usable(read, after="; options of `transopt taps`, whose --scene `transopt page` opens")
+    taps, settings = usable(read)
     nodes = list[float]()
     for tap in sorted(taps, key=lambda tap: tap.speed_m_s):
         speed = float(f"{tap.speed_m_s:.3g}")

@@ -9,7 +9,7 @@ import json
 import tempfile
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
@@ -20,9 +20,11 @@ from scipy import signal
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
+from transopt.files.unclear import joined
+from transopt.report.tried import AskedError
 from transopt.web.controls import following
 from transopt.web.crew import Crew, service_name
-from transopt.web.fields import in_words
+from transopt.web.fields import choice, in_words
 from transopt.web.frames import arrays, curves, frame
 from transopt.web.opening import described, gallery, opened
 from transopt.web.question import limit_for_error, movers
@@ -32,6 +34,7 @@ from transopt.web.upload import Upload, uploadable
 
 OF_A_SCENE = ("change", "ask", "sound", "save", "movers")  # requests about what the window shows
 SOUND_RATE_HZ = 48000
+CHOOSE = 'choose what is right, of what was tried on it, or fill in the fields under "how they are read"'
 LOUDEST = 0.5  # recorded peak of the loudest tap over full scale: -6 dB of headroom for stronger curves
 
 Send = Callable[[str | bytes], None]
@@ -269,7 +272,18 @@ class Session:
         try:
             taken = upload.service(service)
             taken.change(service.changes)
-        except BaseException:
+        except BaseException as error:
             upload.close()
-            raise
+            if not isinstance(error, AskedError):
+                raise
+            self._ask_which(error, upload.reading)
+            return
         self._show(taken, upload)
+
+    def _ask_which(self, asked: AskedError, reading: Mapping[str, Any]) -> None:
+        """Ask which answer to what dropped files leave open is right; each comes with how the files are then read."""
+        choices = [
+            {"words": f"{choice(answer)}: {read}", "reading": joined(reading, answer)} for answer, read in asked.good
+        ]
+        words = in_words(f"{asked.problem}: {CHOOSE}", self.service).words
+        self._say({"type": "refused", "about": "drop", "words": words, "choices": choices})

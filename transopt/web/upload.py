@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from transopt.base.errors import InputError
+from transopt.files.unclear import joined
+from transopt.report.tried import AskedError
 from transopt.web.opening import own_taps
 from transopt.web.service import Service
 
@@ -25,12 +27,14 @@ class Upload:
 
     Parameters
     ----------
-    message : `files` with names and lengths, and the page's fields for reading them.
+    message : `files` with names and lengths, the page's fields for reading them, and `reading`, keys of `recordings`
+        with the answers that the user has chosen.
     body : content of the files.
 
     Attributes
     ----------
     names : safe names of the files.
+    reading : keys of `recordings` by which they are read.
 
     Raises
     ------
@@ -46,11 +50,12 @@ class Upload:
         if sum(int(size) for _, size in listed) != len(body):
             raise InputError("the files did not arrive whole: drop them again")
         columns = [each.strip() for each in str(message.get("columns") or "").split(",") if each.strip()]
-        self._reading: dict[str, Any] = {"columns": columns} if columns else {}
+        self.reading: dict[str, Any] = {"columns": columns} if columns else {}
         if message.get("speed_m_s") is not None:
-            self._reading["speed_m_s"] = float(message["speed_m_s"])
+            self.reading["speed_m_s"] = float(message["speed_m_s"])
         if message.get("accept"):
-            self._reading["implausible"] = "accept"
+            self.reading["implausible"] = "accept"
+        self.reading = joined(self.reading, message.get("reading") or {})
         self.names: list[str] = []
         for name, _ in listed:
             self.names.append(safe_name(str(name), self.names))
@@ -65,11 +70,14 @@ class Upload:
 
         Raises
         ------
+        AskedError : files that leave a fact open.
         InputError : files that are not taps for this scene.
         """
         try:
-            return own_taps(of, Path(self._folder.name), self.names, self._reading)
+            return own_taps(of, Path(self._folder.name), self.names, self.reading)
         except InputError as error:
+            if isinstance(error, AskedError) and error.good:
+                raise
             raise InputError(str(error).replace(f"{self._folder.name}/", "")) from None
 
     def close(self) -> None:

@@ -88,6 +88,20 @@ def test_own_taps_are_taken_and_what_is_none_is_answered_before_it_is_sent(windo
     playwright.expect(window.see("#cells .cell")).to_have_count(1)
 
 
+def test_what_a_file_leaves_open_is_chosen_from_what_was_tried_on_it(window: Window, tmp_path: Path) -> None:
+    text = TAP.read_text().replace("time_s,acceleration_g,position_m", "time,acceleration,position_m")
+    (tmp_path / "bare.csv").write_text(text)
+    window.see("#files").set_input_files(str(tmp_path / "bare.csv"))
+    window.says("#taps-answer", "no unit stated")
+    assert violations(window.tab) == []
+    right = window.see("#taps-choices button", has_text="acceleration in g:")
+    right.first.press("Enter")
+    window.says("#description", "bare.csv")
+    window.rests()
+    assert window.see("#taps-choices button").count() == 0
+    assert window.errors == []
+
+
 def test_a_file_is_dropped_onto_the_page(window: Window) -> None:
     window.tab.evaluate(
         "text => { const data = new DataTransfer(); data.items.add(new File([text], 'dropped.csv'));"

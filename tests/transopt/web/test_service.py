@@ -1,6 +1,5 @@
 """What the page shows is what a library would hold."""
 
-import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,11 +8,11 @@ import pytest
 
 import transopt as to
 from tests.benches.actuators import nonlinear_scene
-from tests.benches.commands import captured
 from transopt.base.errors import InputError
 from transopt.design.build import build_library
 from transopt.library.columns import EntryTable
 from transopt.problem.answer import Status
+from transopt.report.tried import AskedError
 from transopt.scene.recordings import recordings_of
 from transopt.scene.scene import Scene
 from transopt.web.controls import controls
@@ -172,20 +171,15 @@ def test_own_taps_take_the_place_of_the_scenes(tmp_path: Path, small: to.Scene) 
         own_taps(Service(small), tmp_path, ["none.csv"], {})
 
 
-def test_options_that_the_page_names_make_a_scene_that_it_opens(
-    tmp_path: Path, small: to.Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_answer_that_was_tried_on_a_file_reads_it(tmp_path: Path, small: to.Scene) -> None:
     """Both of a file without units and of one whose unit is wrong."""
-    monkeypatch.chdir(tmp_path)
     text = (RECORDINGS / "tap_0.3_m_s.csv").read_text()
     for head in ("time,acceleration,position_m", "time_s,acceleration_m_s2,position_m"):
-        Path("mine.csv").write_text(text.replace("time_s,acceleration_g,position_m", head))
-        with pytest.raises(to.InputError, match="; options of `transopt taps`") as caught:
+        (tmp_path / "mine.csv").write_text(text.replace("time_s,acceleration_g,position_m", head))
+        with pytest.raises(AskedError) as caught:
             own_taps(Service(small), tmp_path, ["mine.csv"], {})
-        named = str(caught.value).partition("the right one: ")[2].partition(" (")[0]
-        made = captured("transopt", "taps", "mine.csv", *shlex.split(named), "--scene", "mine.toml", "--force")
-        assert made.code == 0, made.err
-        assert opened("mine.toml").quick([0])[0].certified
+        (answer, _), *_ = caught.value.good
+        assert own_taps(Service(small), tmp_path, ["mine.csv"], answer).quick([0])[0].certified
 
 
 def test_a_library_opens_without_its_recordings(tmp_path: Path) -> None:

@@ -248,14 +248,30 @@ def test_a_recording_is_read_as_the_fields_of_the_page_say(window: Window) -> No
     times = np.arange(-0.02, 0.09, 1e-4)
     pulse = np.where((times > 0) & (times < 3e-3), 160 * np.sin(np.pi * times / 3e-3), 0.0)
     text = "p,q\n" + "\n".join(f"{t:.4f},{a:.3f}" for t, a in zip(times, pulse, strict=True))
-    window.session.put(*drop(("odd.csv", text.encode())))
-    assert "columns in their order" in window.until("refused")[0]["words"]
-    window.session.put(*drop(("odd.csv", text.encode()), columns="time [s], acc [m/s^2]"))
-    assert "speed where a file states none" in window.until("refused")[0]["words"]
-    window.session.put(*drop(("odd.csv", text.encode()), columns="time [s], acc [m/s^2]", speed_m_s=0.01))
-    assert 'tick "take numbers as they are"' in window.until("refused")[0]["words"]
-    window.session.put(*drop(("odd.csv", text.encode()), columns="time [s], acc [m/s^2]", speed_m_s=0.3))
+    file, stated = ("odd.csv", text.encode()), {"columns": "time [s], acc [m/s^2]"}
+    window.session.put(*drop(file))
+    units = dict(refused(window, "odd.csv: unknown column 'p'"))
+    reading = next(each for words, each in units.items() if words.startswith("p in s, q in m/s^2: 10 kHz, a peak of"))
+    window.session.put(*drop(file, reading=reading))
+    assert refused(window, "odd.csv: no incoming speed")[0][1]["units"] == reading["units"]  # what was answered stays
+    window.session.put(*drop(file, **stated))
+    speeds = refused(window, "odd.csv: no incoming speed")
+    assert speeds[0][0].startswith("speed 0.2 m/s: 10 kHz")
+    window.session.put(*drop(file, **stated, speed_m_s=0.01))
+    assert ("the numbers are right", "accept") in [
+        (words.partition(":")[0], reading.get("implausible")) for words, reading in refused(window, "odd.csv: ")
+    ]
+    window.session.put(*drop(file, reading={**reading, "speed_m_s": 0.3}))
     assert window.until("scene")[0]["places"][0]["speed_m_s"] == pytest.approx(0.3)
+
+
+def refused(window: Window, words: str) -> list[tuple[str, dict[str, Any]]]:
+    """The choices of a refusal that begins with these words, each with words and what is then stated."""
+    said = window.until("refused")[0]
+    assert said["words"].startswith(words)
+    assert "--" not in said["words"]
+    assert "recordings." not in said["words"]
+    return [(each["words"], each["reading"]) for each in said["choices"]]
 
 
 def test_other_scenes_are_looked_at_and_chosen(window: Window) -> None:

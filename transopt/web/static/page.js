@@ -267,7 +267,7 @@ function refused(message) {
   const { about: of, words, key, id } = message;
   if (of === "drop") {
     const again = state.resume;
-    taps.refused(words);
+    taps.refused(words, message.choices);
     if (again) {
       taps.kept = null;
       link.say({ type: "reset" });

@@ -1,6 +1,6 @@
 // A user's own taps: looked at before they are sent, kept in the browser, and sent again to a server that lost them.
 
-import { by, write } from "./words.js";
+import { by, made, write } from "./words.js";
 
 const MB = 2 ** 20;
 
@@ -73,6 +73,7 @@ export class Taps {
     const speed = by("speed").value.trim().replace(",", ".");
     const why = this.refusal(files) || (Number.isNaN(Number(speed)) ? `speed where a file states none: "${speed}" is no number: type one in m/s` : "");
     write(by("taps-answer"), why);
+    by("taps-choices").replaceChildren();
     if (why) this.complain(`Nothing was sent, and the page stays as it is. ${why}.`);
     else this.send({ files, speed_m_s: Number(speed) || null, columns: by("columns").value, accept: by("accept").checked });
   }
@@ -89,10 +90,16 @@ export class Taps {
     }
   }
 
-  refused(words) {
+  // `choices`: what a file leaves open may be answered so, each with words and with how the files are then read.
+  refused(words, choices = []) {
+    const asked = this.sending;
     this.sending = null;
     write(by("taps-answer"), words);
     this.complain(words);
+    by("taps-choices").replaceChildren(...choices.map((choice) => made("button", {
+      type: "button", textContent: choice.words, onclick: () => this.send({ ...asked, reading: choice.reading }),
+    })));
+    by("taps-choices").firstElementChild?.focus();
   }
 
   // A scene is shown: with own taps they are kept, without they may be sent again. Returns whether they are.
@@ -111,6 +118,7 @@ export class Taps {
     } else {
       this.kept = null;
     }
+    by("taps-choices").replaceChildren();
     write(by("taps-answer"), scene.own.length ? `${scene.own.length} of yours: ${scene.own.join(", ")}. Kept in this browser.` : "");
     by("reset").hidden = !scene.own.length;
     by("before").hidden = true;

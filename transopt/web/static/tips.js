@@ -6,7 +6,7 @@ let about = null, described = null, timer = null;
 
 function show(element, focused) {
   about = element;
-  tip.textContent = element.dataset.tip;
+  tip.textContent = element.dataset.tip.replace(/^./, (letter) => letter.toUpperCase());
   tip.hidden = false;
   const at = element.getBoundingClientRect(), room = document.documentElement.clientWidth;
   const left = Math.max(Math.min(at.left, room - tip.offsetWidth - 8), 8);
