@@ -193,7 +193,7 @@ class Session:
             self._say({"type": "progress", "words": "replaying and pricing", "done": done, "of": len(order)})
             self._say({"type": "settled", "id": number, "tap": plain(service.settled(index))})
         if not self._superseded:
-            self._say({"type": "rested", "id": number, "controls": [vars(each) for each in service.controls]})
+            self._say({"type": "rested", "id": number})
 
     def _ask(self, message: Message) -> None:
         service = self._service()

@@ -56,12 +56,4 @@ export class Sliders {
   state(changes) {
     for (const [key, field] of this.fields) field.set(key in changes ? changes[key] : field.opened);
   }
-
-  // Shows the values of the server's answer: one limit may follow from another.
-  follow(controls) {
-    for (const control of controls) {
-      const field = this.fields.get(control.key);
-      if (field && !field.typing && document.activeElement !== field.range) field.take(control.value);
-    }
-  }
 }

@@ -67,6 +67,7 @@ export class Field {
 
   // What the scene has taken: the slider makes room for a number that was typed beyond its ends.
   take(value) {
+    if (this.typing) return;
     const { low, high, log } = this.spec;
     if (Number.isFinite(value) && low < high && (value > 0 || !log)) {
       this.spec = { ...this.spec, low: Math.min(low, value), high: Math.max(high, value) };

@@ -252,7 +252,7 @@ function settled(message) {
 function rested(message) {
   if (message.id !== requests.number) return;
   state.moving = false;
-  sliders.follow(message.controls);
+  for (const [key, value] of Object.entries(state.accepted.changes)) sliders.get(key)?.take(value);
   large();
   certified();
   look();
