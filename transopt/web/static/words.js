@@ -53,7 +53,10 @@ export function differs(element, name, value) {
 }
 
 export function write(element, text) {
-  if (differs(element, "text", text)) element.textContent = text;
+  if (!differs(element, "text", text)) return;
+  const { firstChild: only } = element;
+  if (only instanceof Text && !only.nextSibling) only.data = text; // a new node would take another layout object
+  else element.textContent = text;
 }
 
 export function label(element, words) {
