@@ -1,11 +1,11 @@
 """Why an entry is refused: which limit is missed, by how much and when; and the type of a remedy.
 
-The excess stated "at the least" comes from linear programs or from bisection, and is not a proposal: at that least
-width only a single command is feasible, which solvers miss and whose replay exceeds the limit. Remedies are found by
-solving the entry again with other numbers (`transopt.design.remedy`).
+The excess stated "at the least" comes from the least factor by which limits have to be wider, and is not a proposal: at
+that least width only a single command is feasible, which solvers miss and whose replay exceeds the limit. Remedies are
+found by solving the entry again with other numbers (`transopt.design.remedy`).
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 
@@ -19,12 +19,14 @@ from transopt.proof.certify import certify
 from transopt.proof.effect import Box, boxes
 from transopt.solvers import unlimited
 from transopt.solvers.choose import capable, solve
+from transopt.solvers.feasibility import Widening, can_widen, least_widening
 from transopt.solvers.options import SolverOptions
 
 WIDEST = 64.0  # largest factor by which one limit is widened; more would not be a sensible remedy
 MOST_ITERATIONS = 100
 MOST_SOLVERS = 2  # number of solvers tried on the question whether a limit can be met
-PRECISION = 0.005  # relative accuracy to which a limit's least width is found
+PRECISION = 0.005  # relative accuracy to which bisection finds a limit's least width
+ALIKE = 1e-6  # an excess less than the largest by this share is as large: the first instant of these is named
 
 
 @dataclass(frozen=True)
@@ -99,42 +101,37 @@ def infeasibility(problem: TransientProblem, options: SolverOptions) -> list[str
     """Explain infeasibility: a sentence for each limit whose widening alone makes the problem feasible.
 
     If no single limit suffices, all linear limits are widened together; the result is empty if even that is not
-    enough. The least widening of linear limits is found by linear programs. Only if the linear limits can all be met
-    is the nonlinear one (the temperature) to blame; its least widening is found by bisection. The command that just
-    meets the widened limit shows by how much and when the stated limit is missed.
+    enough. Only if the linear limits can all be met is the nonlinear one (the temperature) to blame. The command that
+    just meets the widened limit shows by how much and when the stated limit is missed.
     """
-    # Imported here, since it loads a library that only an infeasible problem needs.
-    from transopt.solvers.feasibility import least_widening
-
-    linear = [limit for limit in reversed(problem.limits.members) if limit.linear]
-    together = least_widening(problem, [limit.name for limit in linear])
+    bare, linear = (
+        problem.without(*problem.nonlinear),
+        [each for each in reversed(problem.limits.members) if each.linear],
+    )
+    together = _least_widening(bare, linear, options)
     if together is None:
-        return _proven(problem, linear, options)
+        return _proven(bare, linear, options)
     if together.factor > 1:
-        found = []
-        for limit in linear:
-            least = least_widening(problem, [limit.name]) if limit.name in together.blamed else None
-            if least is not None:
-                found.append(_sentence(problem, limit, least.command))
+        alone = [
+            (limit, _least_widening(bare, [limit], options)) for limit in linear if limit.name in together.blamed
+        ]
+        found = [_sentence(problem, limit, least.command) for limit, least in alone if least is not None]
         if found:
             return found
         missed = [limit for limit in linear if _worst(problem, limit, together.command)[1] > 0]
         return [f"{_sentence(problem, limit, together.command)}, all limits wider at once" for limit in missed]
     for limit in problem.limits:
-        if limit.linear:
-            continue
-        command = _least(lambda factor, limit=limit: problem.replaced(limit.wider(factor)), options)  # type: ignore[misc]
-        if command is not None:
-            return [_sentence(problem, limit, command)]
+        if not limit.linear and (least := _least_widening(problem, [limit], options)) is not None:
+            return [_sentence(problem, limit, least.command)]
     return []
 
 
 def _proven(problem: TransientProblem, linear: Sequence[Limit], options: SolverOptions) -> list[str]:
-    """Let a solver prove the linear limits infeasible, where the linear program has found no widening.
+    """Let a solver prove the linear limits infeasible, where no widening was found.
 
     The sentence compares the limits with the peaks of the unlimited optimum. Empty without a proof.
     """
-    if solve(problem.without(*problem.nonlinear), options).status is not Status.INFEASIBLE:
+    if solve(problem, options).status is not Status.INFEASIBLE:
         return []
     free = unlimited.solve([problem])[0].command
     motion = problem.stage.motion(free)
@@ -150,20 +147,33 @@ def _proven(problem: TransientProblem, linear: Sequence[Limit], options: SolverO
     return [f"{names}: proven that no command keeps all limits and ends in what the wall asks for{without}"]
 
 
-def _least(widen: Callable[[float], TransientProblem], options: SolverOptions) -> FloatArray | None:
-    """A feasible command at the least feasible widening factor, to within `PRECISION`; None beyond `WIDEST`."""
-    command = _feasible(widen(WIDEST), options)
-    if command is None:
+def _least_widening(problem: TransientProblem, limits: Sequence[Limit], options: SolverOptions) -> Widening | None:
+    """The least factor by which limits have to be widened together; None if none was found.
+
+    In one search by the project's own method, if it takes the problem, or by bisection: to within `PRECISION` then, up
+    to `WIDEST`, and with all of them to blame.
+    """
+    names = frozenset(limit.name for limit in limits)
+    if not problem.nonlinear and can_widen(problem):
+        return least_widening(problem, names)
+
+    def tried(factor: float) -> FloatArray | None:
+        wider = problem
+        for limit in limits:
+            wider = wider.replaced(limit.wider(factor))
+        return _feasible(wider, options)
+
+    low, high = 1.0, 1.0 if (command := tried(1.0)) is not None else WIDEST
+    if command is None and (command := tried(WIDEST)) is None:
         return None
-    low, high = 1.0, WIDEST
     while high / low > 1 + PRECISION:
         middle = float(np.sqrt(low * high))
-        tried = _feasible(widen(middle), options)
-        if tried is None:
+        nearer = tried(middle)
+        if nearer is None:
             low = middle
         else:
-            high, command = middle, tried
-    return command
+            high, command = middle, nearer
+    return Widening(high, command, names)
 
 
 def _worst(problem: TransientProblem, limit: Limit, command: FloatArray) -> tuple[Box, float]:
@@ -176,7 +186,7 @@ def _worst(problem: TransientProblem, limit: Limit, command: FloatArray) -> tupl
 
 def _sentence(problem: TransientProblem, limit: Limit, command: FloatArray) -> str:
     worst, by = _worst(problem, limit, command)
-    time_ms = problem.grid.switching_times_s[int(np.argmax(worst.excess))] * 1e3
+    time_ms = problem.grid.switching_times_s[int(np.argmax(worst.excess >= (1 - ALIKE) * by))] * 1e3
     return (
         f"{limit.label} {by:.3g} {limit.step_unit} over its limit {limit.stated:.8g} {limit.unit} at "
         f"{time_ms:.1f} ms at the least"

@@ -15,6 +15,7 @@ from transopt.problem.answer import Certificate, Multipliers, Solution, Status
 from transopt.problem.problem import TransientProblem
 from transopt.proof.effect import Effect, effects
 from transopt.solvers import riccati
+from transopt.solvers.feasibility import can_widen, least_widening
 from transopt.solvers.options import SolverOptions, default_solver, most_time_s
 from transopt.solvers.prove import certificates, certified
 
@@ -36,7 +37,6 @@ __all__ = [
 NEARLY_INSIDE = 100.0  # excess of the temperature, in tolerances, that rounding of a slow steady state may cause
 NEARLY_PROVEN = 100.0  # gap, in tolerances, of an answer that is worth pulling inside the temperature limit
 ROOM = 1.5  # the temperature limit is then tightened by this factor times the excess
-MOST_ASKED_STAGES = 2000  # with more stages the linear program takes longer than trying another solver
 LATE_S = 20.0  # time beyond a method's own time limit after which its process is ended
 Method = Callable[[Sequence[TransientProblem], SolverOptions], list[Solution]]
 Certify = Callable[[Sequence[tuple[Effect, Multipliers]]], list[Certificate]]
@@ -212,7 +212,6 @@ def _answers(problem: TransientProblem, options: SolverOptions, first: Certified
 
     On stiff and extreme problems the solvers fail in different cases; the certificate decides.
     """
-    asked = False
     for number, name in enumerate(capable(problem, options.solver)):
         found = first if number == 0 else _tried([problem], replace(options, solver=name))[0]
         if not found.proof.is_stationary and _nearly_proven(problem, found.proof):
@@ -227,10 +226,8 @@ def _answers(problem: TransientProblem, options: SolverOptions, first: Certified
             return
         if answer.solver == "riccati" and answer.status is Status.INFEASIBLE:
             return  # the own method proves infeasibility before it claims it
-        if not asked and problem.grid.stages <= MOST_ASKED_STAGES:
-            asked = True
-            if not feasible(problem):
-                return  # infeasible by the linear program: no other solver needs to search
+        if number == 0 and not feasible(problem):
+            return  # no other solver needs to search
 
 
 def _nearly_proven(problem: TransientProblem, proof: Certificate) -> bool:
@@ -251,12 +248,10 @@ def _pulled_inside(problem: TransientProblem, proof: Certificate, options: Solve
 
 
 def feasible(problem: TransientProblem) -> bool:
-    """Whether a command meets all linear limits; True also if the linear program was not decided in time."""
-    # Imported here, since it loads a library that nothing else in this module needs.
-    from transopt.solvers.feasibility import least_widening
-
-    found = least_widening(problem, [limit.name for limit in problem.limits if limit.linear])
-    return found is None or found[0] == 1.0
+    """Whether a command meets all linear limits; True also if that was not decided."""
+    linear = [limit.name for limit in problem.limits if limit.linear]
+    found = least_widening(problem, linear) if can_widen(problem) else None
+    return found is None or found.factor == 1.0
 
 
 def solve_certified(problems: Sequence[TransientProblem], options: SolverOptions) -> list[Certified]:
