@@ -5,7 +5,7 @@
 
 Every command first runs undisturbed, which tells how long it takes and leaves an earlier result. Then it runs again
 over that result and gets a signal at a random instant: SIGTERM alone, or SIGINT with its whole process group, as a
-terminal sends it. Long searches of native code (IPOPT, PIQP, the linear program, the compiled interior point on
+terminal sends it. Long searches of native code (IPOPT, PIQP, the compiled interior point on
 20 000 stages) are commands of their own, which are never let finish.
 
 Asked of each: it has ended within 1 s; its folder has either the earlier result, byte for byte, or the whole new one;
@@ -43,16 +43,11 @@ BIN = Path(sys.executable).parent
 PROGRAM = "import sys; sys.path[:0] = {path!r}; from transopt.base import terminal; terminal.run(lambda: {call})"
 LONG = """
 from problems.stress.cases import StressCase
-from problems.stress.parts import Current, Horizon, Surface
-from transopt.solvers import choose, feasibility
+from problems.stress.parts import Horizon
+from transopt.solvers import choose
 from transopt.solvers.options import SolverOptions
 
 def search(method):
-    if method == "feasibility":
-        case = StressCase("wall", current=Current(limit_A=0.3, slew=0.05), horizon=Horizon(stages=2000),
-                          surface=Surface(2000.0))
-        feasibility.least_widening(case.problem(), ("current", "command", "slew"))
-        return
     problem = StressCase("long", horizon=Horizon(stages=20000)).problem()
     while True:
         choose.solve(problem, SolverOptions(method))
@@ -142,7 +137,7 @@ def commands() -> list[Command]:
         line("transopt-device --listen 127.0.0.1:0"),
         Command(f"python -m {stress}", (sys.executable, "-m", stress, "--jobs", "2", "--cases", "40")),
         Command(f"python -m {stress} --case", (sys.executable, "-m", stress, "--seed", "3", "--case", "286")),
-        *(search(method) for method in ("riccati", "casadi-ipopt", "casadi-piqp", "feasibility")),
+        *(search(method) for method in ("riccati", "casadi-ipopt", "casadi-piqp")),
     ]
 
 

@@ -1,9 +1,10 @@
 """Remedies for a refused entry: other numbers in its scene, each solved before it is proposed.
 
-Bounds do not suffice as proposals. At the least width of a limit, from a linear program, only a single command is
-feasible, which solvers miss and whose replay exceeds the limit; and a softer wall, which needs less current at one
-depth, lets the stylus go deeper. Every proposal is therefore rounded as printed, then solved, certified and replayed.
-If none succeeds, the report says what was tried and how far.
+Bounds do not suffice as proposals. At the least width of a limit only a single command is feasible, which solvers
+miss and whose replay exceeds the limit; and a softer wall, which needs less current at one depth, lets the stylus go
+deeper. Every proposal is therefore rounded as printed, then solved, certified and replayed. The least width is where a
+search begins, and a limit that no width makes feasible is not tried. If none succeeds, the report says what was tried
+and how far.
 """
 
 import math
@@ -20,9 +21,11 @@ from transopt.design.design import design
 from transopt.design.entry import Entry
 from transopt.design.explain import Change, Remedy
 from transopt.problem.answer import Status
+from transopt.problem.limits.limit import Limit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.continuous import AGREEMENT
 from transopt.proof.replay import Replay
+from transopt.solvers.feasibility import can_widen, least_widening
 from transopt.solvers.options import SolverOptions, TrialOptions
 
 MOST_WORK = 200.0  # work of all trials for one entry; the searches of the stress suite end within 40 trials
@@ -31,7 +34,7 @@ SLOW = 5.0  # work of a trial on a nonlinear plant or for the worst of several d
 MOST_ITERATIONS = 100  # of the solver in a trial; a feasible problem takes a tenth of it
 DIGITS = 3  # significant digits of a proposal
 TENTHS = 10  # temperatures are rounded to 1 / TENTHS of a kelvin
-OVER = 1.03  # first factor tried, relative to the factor by which the refused answer exceeded its limit
+OVER = 1.03  # first factor tried, relative to the least width, or to how far the refused answer exceeded its limit
 NEAR = 1.1  # bisection ends when a successful strength is within this factor of a failed one
 # Factors ("strengths") by which numbers are changed; bisection finds the least one that succeeds.
 STRENGTHS = (1.02, 1.1, 1.4, 2.5, 10.0, 100.0, 1e4, 1e6, 1e9)
@@ -89,12 +92,14 @@ class _Way:
     strengths : increasing, the first above 1.
     guided : whether the search starts at the factor by which the refused answer exceeded its limit.
     vanishes : whether the numbers are close to zero at the largest strength.
+    least : factor by which the limits have to be wider at the least; 1 if it is not known.
     """
 
     at: Callable[[float], Values]
     strengths: tuple[float, ...] = STRENGTHS
     guided: bool = True
     vanishes: bool = False
+    least: float = 1.0
 
 
 @dataclass
@@ -156,16 +161,20 @@ class _Search:
         others = [way for way in ways if way not in at_once]
         return [self.best(way) for way in (*at_once, *others) if way in at_once or not self.late]
 
+    def begins(self, way: _Way) -> float:
+        """The strength to begin with; not above 1 if none is known."""
+        return OVER * way.least if way.least > 1 else self.hint if way.guided else 0.0
+
     def strengths(self, way: _Way) -> tuple[float, ...]:
-        """Strengths of a way; a guided one includes the hint, and the strength that shows it to be the least."""
-        if way.guided and self.hint > 1:
-            return tuple(sorted({*way.strengths, self.hint, max(self.hint / NEAR, math.sqrt(self.hint))}))
-        return way.strengths
+        """Strengths of a way from its least on, with the one to begin with and one that shows it to be the least."""
+        begins = self.begins(way)
+        near = {begins, max(begins / NEAR, math.sqrt(begins))} if 1 < begins < math.inf else set()
+        return tuple(sorted(each for each in {*way.strengths, *near} if each >= way.least))
 
     def first(self, way: _Way) -> float:
-        """The strength with which the search begins: the hint, or the middle one."""
-        strengths = self.strengths(way)
-        return self.hint if self.hint in strengths else strengths[len(strengths) // 2]
+        """The strength with which the search begins: a known one, or the middle one."""
+        strengths, begins = self.strengths(way), self.begins(way)
+        return begins if begins in strengths else strengths[len(strengths) // 2]
 
     def __contains__(self, values: Values) -> bool:
         return tuple(values.items()) in self.known
@@ -179,22 +188,26 @@ class _Search:
 
     def best(self, way: _Way) -> Remedy:
         """The least change that succeeds, to within a factor `NEAR`; or the largest change that was tried in vain."""
-        strengths = self.strengths(way)
+        strengths, begins = self.strengths(way), self.begins(way)
         middle = strengths.index(self.first(way))
-        low, high, farthest = -1, len(strengths), middle
+        low, high, farthest, up = -1, len(strengths), middle, 1
         while high - low > 1 and (low < 0 or way.at(strengths[middle]) in self or not self.late):
             farthest = max(farthest, middle)
             if self.does(way.at(strengths[middle])):
                 high = middle
             else:
                 low = middle
-            # A number that does not help close to zero does not help in between, and a hint that helps is nearly the
-            # least strength: the largest strength, or the one just below the hint, is tried next.
-            nearly = way.vanishes if high == len(strengths) else low < 0 and strengths[high] == self.hint
-            middle = high - 1 if nearly else (low + high) // 2
+            # A number that does not help close to zero does not help in between, and a strength that is known to
+            # begin with is nearly the least: the largest strength, or the ones beside the known one, are tried next.
+            known = begins in strengths
+            if high == len(strengths):
+                middle = high - 1 if way.vanishes else min(low + up, high - 1) if known else (low + high) // 2
+                up *= 2
+            else:
+                middle = high - 1 if low < 0 and known and strengths[high] == begins else (low + high) // 2
         if high == len(strengths):
             return _remedy(way.at(strengths[farthest]), solved=False)
-        weak, strong = strengths[low] if low >= 0 else 1.0, strengths[high]
+        weak, strong = strengths[low] if low >= 0 else way.least, strengths[high]
         while strong / weak > NEAR and not self.late:
             between = math.sqrt(weak * strong)
             if way.at(between) in (way.at(weak), way.at(strong)):
@@ -223,7 +236,7 @@ def remedies(entry: Adjustable, refused: Entry, options: SolverOptions, work: Wo
     tried: list[Remedy] = []
     for ways in _ways(entry, problem, status, played):
         search.begin()
-        found = search.tried([way for way in ways if way.strengths])
+        found = search.tried([way for way in ways if search.strengths(way)])
         solved = [remedy for remedy in found if remedy.solved]
         if solved:
             return solved
@@ -270,15 +283,19 @@ def _ways(entry: Adjustable, problem: TransientProblem, status: Status, played: 
         # Only the limits violated between two instants. If it is the temperature of a coil as fast as a servo period,
         # less current keeps the limit from any start, and that problem is quickly solved.
         blamed = [limit for limit in blamed if played.leaves(limit)]
-    wider = movable([move for limit in blamed for move in limit.relieved_by().items()])
+    least = _least_factors(problem, blamed) if status in (Status.INFEASIBLE, Status.HAND_OVER) else {}
+    wider = [(move, limit) for limit in blamed for move in movable([*limit.relieved_by().items()])]
     softer = movable([(key, False) for key in (STIFFNESS, DAMPING, LATENCY)])
     if hopeless:
         softer = []
-    alone = [_way(entry, [move]) for move in ([*softer, *wider] if status is Status.HAND_OVER else [*wider, *softer])]
+    softened = [_way(entry, [move]) for move in softer]
+    widened = [_way(entry, [move], least=least.get((limit.name,), 1.0)) for move, limit in wider]
+    alone = [*softened, *widened] if status is Status.HAND_OVER else [*widened, *softened]
     yield [replace(weaker, guided=False), *alone] if status is Status.UNRESOLVED else alone
-    rising = [move for move in wider if move[1]]
+    rising = [move for move, _ in wider if move[1]]
     both = [move for move in softer if move[0] != LATENCY]
-    yield [_way(entry, moves) for moves in (rising, both) if len(moves) > 1]
+    together = least.get(tuple(limit.name for limit in blamed), 1.0)
+    yield [_way(entry, moves, least=by) for moves, by in ((rising, together), (both, 1.0)) if len(moves) > 1]
     if status is Status.HAND_OVER:
         yield [_shortened(entry)]
     elif status not in (Status.INFEASIBLE, Status.UNSTABLE_WALL):
@@ -303,6 +320,16 @@ def _ways(entry: Adjustable, problem: TransientProblem, status: Status, played: 
         yield [_steadied(way) for way in last]
 
 
+def _least_factors(problem: TransientProblem, limits: Sequence[Limit]) -> dict[tuple[str, ...], float]:
+    """Least factors of each limit alone and of all together, by their names; infinite where none is enough."""
+    if not can_widen(problem):
+        return {}
+    names = [limit.name for limit in limits]
+    sets = dict.fromkeys([*((name,) for name in names), tuple(names)])
+    found = {each: least_widening(problem, each) for each in sets}
+    return {each: np.inf if widening is None else widening.factor for each, widening in found.items()}
+
+
 def _coldest_C(entry: Adjustable, key: str) -> float:
     """Lowest temperature at a key [C]: `COLD_C` for the surroundings, their temperature for the coil."""
     ambient = entry.value(AMBIENT)
@@ -315,7 +342,7 @@ def _is_movable(entry: Adjustable, key: str) -> bool:
     return stated is not None and stated > (_coldest_C(entry, key) if key in COOLED else 0.0)
 
 
-def _way(entry: Adjustable, moves: Sequence[Move], gone: Sequence[str] = ()) -> _Way:
+def _way(entry: Adjustable, moves: Sequence[Move], gone: Sequence[str] = (), least: float = 1.0) -> _Way:
     """Change all of these numbers by the same factor; a temperature by its distance from the coldest allowed one.
 
     Parameters
@@ -336,7 +363,7 @@ def _way(entry: Adjustable, moves: Sequence[Move], gone: Sequence[str] = ()) -> 
                 values[key] = _rounded(stated[key] * strength if up else stated[key] / strength, up)
         return values
 
-    return _Way(at, vanishes=not any(up for _, up in moves))
+    return _Way(at, vanishes=not any(up for _, up in moves), least=least)
 
 
 def _without(*keys: str) -> _Way:

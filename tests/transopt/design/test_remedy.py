@@ -85,6 +85,7 @@ class TestSearch:
         stated = STARVED.value("limits.supply_V")
         assert stated is not None
         with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(remedy, "can_widen", lambda _: False)  # this judge knows nothing of the least width
             answers, asked = self.found(patch, STARVED, lambda v: (v.get("limits.supply_V") or 0.0) >= least * stated)
         (answer,) = answers
         (change,) = answer.changes
@@ -224,7 +225,7 @@ def test_a_trial_asks_one_solver_and_explains_nothing(monkeypatch: pytest.Monkey
 def test_limits_whose_program_finds_nothing_are_refused_by_their_proof(monkeypatch: pytest.MonkeyPatch) -> None:
     """A claim without numbers is no reason: the optimum without limits has some."""
     case = StressCase("wall", current=Current(limit_A=0.3, slew=0.05), horizon=SHORT, surface=Surface(2000.0))
-    monkeypatch.setattr("transopt.solvers.feasibility.least_widening", lambda *_: None)
+    monkeypatch.setattr("transopt.design.explain.least_widening", lambda *_: None)
     (reason,) = infeasibility(case.problem(), OPTIONS)
     assert ": proven that no command keeps all limits and ends in what the wall asks for: without limits " in reason
     assert "A/tick, limit 0.015 A/tick" in reason

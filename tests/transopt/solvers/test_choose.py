@@ -65,12 +65,14 @@ def test_the_next_method_is_asked(saturated: TransientProblem, monkeypatch: pyte
     assert proof.is_stationary
 
 
-def test_a_linear_program_that_ends_its_process_decides_nothing(
+def test_feasibility_that_cannot_be_decided_stops_no_other_method(
     saturated: TransientProblem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(feasibility, "_found", dies)
-    assert feasibility.least_widening(saturated, ["current"]) is None
+    impossible = StressCase("wall", current=Current(limit_A=0.3), horizon=Horizon(stages=40), surface=Surface(2e3))
     assert choose.feasible(saturated)
+    assert not choose.feasible(impossible.problem())
+    monkeypatch.setattr(feasibility, "available", False)
+    assert choose.feasible(impossible.problem())
 
 
 def test_a_problem_of_any_scale_has_the_same_least_widening() -> None:

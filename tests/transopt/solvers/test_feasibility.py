@@ -1,4 +1,4 @@
-"""What the stress suite made necessary: the linear program, exact thermal steps, named walls."""
+"""What the stress suite made necessary: the least widening of limits, exact thermal steps, named walls."""
 
 from dataclasses import replace
 
@@ -11,15 +11,17 @@ from problems.stress.draw import drawn
 from problems.stress.judge import played
 from problems.stress.parts import Coil, Current, Demand, DrawnDevice, Horizon, Surface
 from transopt.base.errors import InputError
+from transopt.design.explain import PRECISION, infeasibility
 from transopt.design.optimum import optimum
 from transopt.plant.coil import COPPER_PER_K, RESISTANCE_REFERENCE_C, CoilModel
 from transopt.plant.wall import earlier_by
-from transopt.problem.answer import Status
+from transopt.problem.answer import Multipliers, Status
 from transopt.problem.limits import hand_over, limits_of
 from transopt.problem.problem import TransientProblem
 from transopt.problem.wall_ticks import encoder_course, silence
 from transopt.proof.admit import unstable_wall
 from transopt.proof.continuous import AGREEMENT
+from transopt.proof.effect import boxes
 from transopt.solvers.choose import solve_certified
 from transopt.solvers.feasibility import least_widening
 from transopt.solvers.options import SolverOptions
@@ -42,9 +44,10 @@ def test_the_least_widening_is_the_least() -> None:
         assert [limit.name for limit in wide.limits] == list(everything)
         again = least_widening(wide, everything)
         assert (again[0] == 1.0) == feasible
-        # A thousandth of room is little: what the first method cannot settle goes to the next.
-        (_, proof, _) = solve_certified([wide], SolverOptions())[0]
+        # From above a command within the limits, from below a ray that proves that there is none.
+        (answer, proof, _) = solve_certified([wide], SolverOptions())[0]
         assert (proof.excess <= 1) == feasible
+        assert (answer.status is Status.INFEASIBLE) != feasible
 
 
 @pytest.mark.parametrize(("limit", "enough"), [(0.3, set()), (2.2, {"current"}), (2.8, {"current", "slew"})])
@@ -54,6 +57,40 @@ def test_no_limit_is_enough_alone_but_those_to_blame(limit: float, enough: set[s
     assert found is not None
     assert {name for name in everything if least_widening(problem, [name]) is not None} == enough
     assert found.blamed == {"current", "slew"}
+
+
+@pytest.mark.parametrize("surface", [Surface(2000.0), Surface(2e4, 5.0, latency_ticks=2)])
+def test_a_window_without_a_free_command_has_the_excess_of_the_only_one(surface: Surface) -> None:
+    horizon = Horizon(stages=10, lead_s=0.0, hand_over=10)
+    problem = StressCase(
+        "ruled", current=Current(limit_A=0.01, command=1.0), horizon=horizon, surface=surface
+    ).problem()
+    assert problem.free_stages == 0
+    found = least_widening(problem, ("current", "command"))
+    assert found is not None
+    motion = problem.stage.motion(found.command)
+    assert np.abs(hand_over.residual(problem, found.command, motion)).max() < 1e-9 * np.abs(found.command).max()
+    values = boxes(problem, found.command, motion, Multipliers.zero(problem))
+    assert found.factor > 100
+    assert found.factor == pytest.approx(1 + max(box.excess.max() / box.limit.stated for box in values), rel=1e-6)
+
+
+def test_limits_a_million_times_too_narrow_have_a_least_width() -> None:
+    """The search from rest finds no step: a second one begins where the limits are wide."""
+    problem = drawn(27112026, 722).problem()
+    found = least_widening(problem, ("current", "command", "supply"))
+    assert found is not None
+    assert found.factor == pytest.approx(799460.68, rel=1e-5)
+
+
+def test_bisection_finds_the_same_where_the_extension_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem, options = walled(2.2), SolverOptions()
+    (own,) = infeasibility(problem, options)
+    monkeypatch.setattr("transopt.design.explain.can_widen", lambda _: False)
+    (bisected,) = infeasibility(problem, options)
+    assert (own.split()[0], own.split()[-5:]) == (bisected.split()[0], bisected.split()[-5:])
+    assert float(bisected.split()[1]) == pytest.approx(float(own.split()[1]), abs=2 * PRECISION * 2.2)
+    assert infeasibility(StressCase("plain", horizon=SHORT).problem(), options) == []
 
 
 def test_a_feasible_problem_needs_no_wider_limits() -> None:

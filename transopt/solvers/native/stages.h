@@ -48,7 +48,8 @@ static const double LAST_GAP = 0.03;  /* that is aimed at, of what is allowed: l
 static const double NO_PIVOT = 1e-14; /* of a Cholesky factor, as a share of the largest diagonal entry */
 static const double LEAST = 1e-290;   /* negligible positive number that avoids a division by zero */
 enum {
-    PATIENCE = 6,    /* iterations without a better iterate */
+    PATIENCE = 6,    /* iterations without a better iterate near the optimum */
+    LOST = 25,       /* and elsewhere: searches that converge improve within 16, those for a command that does not exist diverge */
     STRIDE = 256,    /* stages of a factorisation after which the host may be asked */
     SYMMETRISED = 4, /* stages after which the cost to go is made symmetric again */
     REFINEMENTS = 4  /* of a linear pass, each one more step with the same gains */
@@ -1467,6 +1468,8 @@ static int follow(tr_course *course, tr_result *r, const tr_options *options, co
         end_with(course, r, TR_ACCURACY, iterations);
     else if (!number_found)
         end_with(course, r, TR_BREAKDOWN, iterations);
+    else if (course->since >= LOST)
+        end_with(course, r, TR_STALLED, iterations);
     else if (iterations >= options->max_iterations)
         end_with(course, r, near ? TR_ACCURACY : TR_ITERATION_LIMIT, iterations);
     course->since++;
