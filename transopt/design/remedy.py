@@ -23,15 +23,17 @@ from transopt.design.explain import Change, Remedy
 from transopt.problem.answer import Status
 from transopt.problem.limits.limit import Limit
 from transopt.problem.problem import TransientProblem
+from transopt.problem.stage import layout
 from transopt.proof.continuous import AGREEMENT
 from transopt.proof.replay import Replay
 from transopt.solvers.feasibility import can_widen, least_widening
 from transopt.solvers.options import SolverOptions, TrialOptions
 
-MOST_WORK = 200.0  # work of all trials for one entry; the searches of the stress suite end within 40 trials
+MOST_WORK = 100.0  # work of all trials for one entry; most searches of the stress suite end within 20 trials
 STAGES_OF_WORK = 1000.0  # number of stages whose solution takes as long as the fixed part of a trial
+STATES_OF_WORK = 10.0  # with more states the work of a stage is in proportion to their square
 SLOW = 5.0  # work of a trial on a nonlinear plant or for the worst of several devices, relative to any other
-MOST_ITERATIONS = 100  # of the solver in a trial; a feasible problem takes a tenth of it
+MOST_ITERATIONS = 60  # of the solver in a trial; a feasible problem takes a quarter of it
 DIGITS = 3  # significant digits of a proposal
 TENTHS = 10  # temperatures are rounded to 1 / TENTHS of a kelvin
 OVER = 1.03  # first factor tried, relative to the least width, or to how far the refused answer exceeded its limit
@@ -124,7 +126,8 @@ class Work:
         problem = refused.problem
         stages = (values.get(STAGES) or problem.grid.stages) + problem.grid.after_stages
         slow = problem.worst or refused.designed.nonlinear is not None
-        self.spent += (SLOW if slow else 1.0) * (1 + stages / STAGES_OF_WORK)
+        each = max(layout(problem).states / STATES_OF_WORK, 1.0) ** 2
+        self.spent += (SLOW if slow else 1.0) * (1 + each * stages / STAGES_OF_WORK)
 
 
 @dataclass

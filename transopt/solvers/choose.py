@@ -171,6 +171,7 @@ def prove_all(
     found = []
     for (effect, _), certificate in zip(answers, certify_all(answers), strict=True):
         bounded = np.isfinite(certificate.lower_bound) or not certificate.finite or not effect.problem.nonlinear
+        bounded = bounded or (options.brief and not certificate.is_stationary)  # a trial that has failed anyway
         bound = certificate.lower_bound if bounded else global_bound(effect.problem, options)
         found.append(replace(certificate, lower_bound=bound))
     return found

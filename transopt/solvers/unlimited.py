@@ -18,8 +18,8 @@ from transopt.proof.certify import certify, movement_bound, reduced_gradient
 from transopt.proof.effect import Effect
 from transopt.solvers import stage_data
 from transopt.solvers.native import extension
-from transopt.solvers.options import most_time_s
 
+MOST_S, MOST_PER_STAGE_S = 1.0, 1e-3  # processor time of the sparse system, which takes a fifth of it
 GAP = 1e-8  # gap relative to max(J, 1e-3): a hundredth of a certificate's tolerance, a hundred times the rounding
 
 
@@ -82,8 +82,11 @@ def _by_compiled_pass(problems: Sequence[TransientProblem]) -> list[Solution | N
 
 
 def solve_apart(problem: TransientProblem) -> Solution:
-    """Run `solve_sparse` in a process of its own: factorising an ill-posed system may print text or take long."""
-    within_s = most_time_s(problem.grid.stages)
+    """Run `solve_sparse` in a process of its own: factorising an ill-posed system may print text or take long.
+
+    A process that gives no answer within `MOST_S` and `MOST_PER_STAGE_S` of processor time is ended.
+    """
+    within_s = MOST_S + MOST_PER_STAGE_S * problem.grid.stages
     try:
         return apart.call(solve_sparse, problem, within_s=within_s)
     except apart.UnansweredError as why:
