@@ -1,8 +1,8 @@
 """Why an entry is refused: which limit is missed, by how much and when; and the type of a remedy.
 
-The excess stated "at the least" comes from the least factor by which limits have to be wider, and is not a proposal: at
-that least width only a single command is feasible, which solvers miss and whose replay exceeds the limit. Remedies are
-found by solving the entry again with other numbers (`transopt.design.remedy`).
+The excess stated "at the least" comes from the least factor by which limits have to be wider, and is not a proposal:
+at that least width only a single command is feasible, which solvers miss and whose replay exceeds the limit. Remedies
+are found by solving the entry again with other numbers (`transopt.design.remedy`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -150,8 +150,8 @@ def _proven(problem: TransientProblem, linear: Sequence[Limit], options: SolverO
 def _least_widening(problem: TransientProblem, limits: Sequence[Limit], options: SolverOptions) -> Widening | None:
     """The least factor by which limits have to be widened together; None if none was found.
 
-    In one search by the project's own method, if it takes the problem, or by bisection: to within `PRECISION` then, up
-    to `WIDEST`, and with all of them to blame.
+    In one search by the project's own method, if it takes the problem, or by bisection: to within `PRECISION` then,
+    up to `WIDEST`, and with all of them to blame.
     """
     names = frozenset(limit.name for limit in limits)
     if not problem.nonlinear and can_widen(problem):

@@ -2,8 +2,8 @@
 
 Bounds do not suffice as proposals. At the least width of a limit only a single command is feasible, which solvers
 miss and whose replay exceeds the limit; and a softer wall, which needs less current at one depth, lets the stylus go
-deeper. Every proposal is therefore rounded as printed, then solved, certified and replayed. The least width is where a
-search begins, and a limit that no width makes feasible is not tried. If none succeeds, the report says what was tried
+deeper. Every proposal is therefore rounded as printed, then solved, certified and replayed. A search begins at the
+least width, and a limit that no width makes feasible is not tried. If none succeeds, the report says what was tried
 and how far.
 """
 
@@ -31,7 +31,7 @@ from transopt.solvers.options import SolverOptions, TrialOptions
 
 MOST_WORK = 100.0  # work of all trials for one entry; most searches of the stress suite end within 20 trials
 STAGES_OF_WORK = 1000.0  # number of stages whose solution takes as long as the fixed part of a trial
-STATES_OF_WORK = 10.0  # with more states the work of a stage is in proportion to their square
+STATES_OF_WORK = 12.0  # with more states the work of a stage is in proportion to their square
 SLOW = 5.0  # work of a trial on a nonlinear plant or for the worst of several devices, relative to any other
 MOST_ITERATIONS = 60  # of the solver in a trial; a feasible problem takes a quarter of it
 DIGITS = 3  # significant digits of a proposal
@@ -111,10 +111,12 @@ class Work:
     Attributes
     ----------
     most : budget for all trials. spent : work of the trials made so far.
+    short : whether changes that may help were not tried for lack of it.
     """
 
     most: float = MOST_WORK
     spent: float = 0.0
+    short: bool = False
 
     @property
     def left(self) -> float:
@@ -161,8 +163,13 @@ class _Search:
     def tried(self, ways: Sequence[_Way]) -> list[Remedy]:
         """The best remedy of each way; ways that succeed at their first strength go first. At least one is tried."""
         at_once = [way for way in ways if not self.late and self.does(way.at(self.first(way)))]
-        others = [way for way in ways if way not in at_once]
-        return [self.best(way) for way in (*at_once, *others) if way in at_once or not self.late]
+        found = [self.best(way) for way in at_once]
+        for way in ways:
+            if way not in at_once and not self.late:
+                found.append(self.best(way))
+            elif way not in at_once:
+                self.work.short = True
+        return found
 
     def begins(self, way: _Way) -> float:
         """The strength to begin with; not above 1 if none is known."""
@@ -209,6 +216,7 @@ class _Search:
             else:
                 middle = high - 1 if low < 0 and known and strengths[high] == begins else (low + high) // 2
         if high == len(strengths):
+            self.work.short |= high - low > 1
             return _remedy(way.at(strengths[farthest]), solved=False)
         weak, strong = strengths[low] if low >= 0 else way.least, strengths[high]
         while strong / weak > NEAR and not self.late:

@@ -15,7 +15,8 @@ from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
 
-MOST_OF_A_LIBRARY = 6 * MOST_WORK  # work of the trials for all entries of a build
+NOT_ALL = "not all that may help was tried: the trials took all the work that an entry may"
+MOST_OF_A_LIBRARY = 12 * MOST_WORK  # work of the trials for all entries of a build
 BETA = "limits.beta"
 OWN = f"limits.{OwnLimit.key}"
 COIL = ("thermal.", *MOTOR)  # keys that matter only if the scene models the motor's coil
@@ -85,15 +86,16 @@ def with_remedies(context: Context, entries: Sequence[Sequence[Entry]], options:
             return entry.stating(shortfalls=[*entry.shortfalls, reason])
         reference = context.reference(entry.speed_m_s, entry.grip_N, entry.target)
         posed = SceneEntry(context, entry.grip_N, reference, entry.spot)
-        own = [remedy for remedy in found.values() if does_too(posed, entry, remedy)]
+        own, vain = [remedy for remedy in found.values() if does_too(posed, entry, remedy)], list[str]()
         if not own:
             work = Work(min(MOST_WORK, library.left))
             own = remedies(posed, entry, options, work)
             library.spent += work.spent
+            vain = [NOT_ALL] if work.short and not any(remedy.solved for remedy in own) else []
         own = [_in_place_of_beta(context.scene, remedy) for remedy in own]
         found.update({str(remedy): remedy for remedy in own if remedy.solved})
         return entry.stating(
-            remedies=tuple(own), shortfalls=list(filter(None, [*entry.shortfalls, what_would_do(own)]))
+            remedies=tuple(own), shortfalls=list(filter(None, [*entry.shortfalls, what_would_do(own), *vain]))
         )
 
     return [[tried(entry) for entry in row] for row in entries]

@@ -6,8 +6,8 @@ The factor 1 + t is a decision of the program: its stages get one more motor, wh
     subject to  dynamics and hand-over,  lower - w t_k <= G x_k + d u_k <= upper + w t_k,  t_0 >= least
 
 with the width w of a limit's row, which is 0 for limits that are not widened. The second term makes t one number for
-all stages; the third selects, of the commands that are feasible with that factor, the one that moves least. The search
-diverges where no factor is enough.
+all stages; the third selects, of the commands that are feasible with that factor, the one that moves least. The
+search diverges where no factor is enough.
 """
 
 from collections.abc import Collection

@@ -1,5 +1,6 @@
 """The unlimited optimum: the Riccati pass against least squares, the sparse system, solvers, on extreme devices."""
 
+import threading
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -297,3 +298,20 @@ def test_a_gap_that_is_only_rounding_asks_no_other_method(monkeypatch: pytest.Mo
     monkeypatch.setattr(unlimited, "solve_apart", asked)
     found = unlimited.solve([problem])[0]
     assert certify(problem, found.command, found.multipliers).is_stationary
+
+
+def waits(*_: object) -> None:
+    """Wait for ever, as native code does that finds no end to its work."""
+    threading.Event().wait()
+
+
+def test_a_sparse_system_without_an_end_is_given_up(
+    make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(unlimited, "solve_sparse", waits)
+    monkeypatch.setattr(unlimited, "MOST_S", 1e-3)
+    monkeypatch.setattr(unlimited, "MOST_PER_STAGE_S", 0.0)
+    monkeypatch.setattr(extension, "available", False)
+    answer = unlimited.solve([make_problem(0.4, 5.0)])[0]
+    assert answer.status is Status.NUMERICAL_FAILURE
+    assert answer.message == "no answer within 0.01 s"
