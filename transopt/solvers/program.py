@@ -1,6 +1,6 @@
 """The optimal-control problem as one sparse program in CasADi.
 
-PIQP, IPOPT, the linear programs and the sparse KKT system read their data from this statement. The project's own
+PIQP, IPOPT and the sparse KKT system read their data from this statement. The project's own
 method uses `stage_data` instead, computed from the same linear stage and the same rows of limits.
 
 Variables are stage-wise [dc_k, e_k, x_(k+1), th_(k+1)], k = 0..N-1: the movement of each command and the scaled

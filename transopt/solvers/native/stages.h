@@ -49,7 +49,7 @@ static const double NO_PIVOT = 1e-14; /* of a Cholesky factor, as a share of the
 static const double LEAST = 1e-290;   /* negligible positive number that avoids a division by zero */
 enum {
     PATIENCE = 6,    /* iterations without a better iterate near the optimum */
-    LOST = 25,       /* and elsewhere: searches that converge improve within 16, those for a command that does not exist diverge */
+    LOST = 25,       /* and elsewhere: a search that converges improves within 16, one without a feasible command diverges */
     STRIDE = 256,    /* stages of a factorisation after which the host may be asked */
     SYMMETRISED = 4, /* stages after which the cost to go is made symmetric again */
     REFINEMENTS = 4  /* of a linear pass, each one more step with the same gains */
