@@ -20,6 +20,7 @@ from transopt.base.signals import FloatArray
 from transopt.problem.answer import Multipliers
 from transopt.problem.limits.row import Row
 from transopt.problem.problem import TransientProblem
+from transopt.problem.stage import layout
 from transopt.proof.effect import boxes
 from transopt.solvers.native.extension import ACCURACY, Answer, available, interior_points, takes
 from transopt.solvers.stage_data import Stages, stages
@@ -50,12 +51,11 @@ class Widening(NamedTuple):
 
 def can_widen(problem: TransientProblem) -> bool:
     """Whether the extension exists and takes the problem with one more motor and each row's two sides apart."""
-    if not available:
-        return False
-    sizes = stages(problem.without(*problem.nonlinear)).sizes
-    return takes(sizes["states"] + 1, sizes["motors"] + 1, 2 * sizes["rows"] + 1)
+    where = layout(problem)
+    return available and takes(where.states + 1, where.motors + 1, 2 * len(problem.rows()) + 1)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # extreme numbers overflow; the search breaks down then
 def least_widening(problem: TransientProblem, limits: Collection[str]) -> Widening | None:
     """Least factor by which the named limits have to be widened together, and a command that is feasible with it.
 

@@ -1,7 +1,7 @@
 """The optimal-control problem as one sparse program in CasADi.
 
-PIQP, IPOPT and the sparse KKT system read their data from this statement. The project's own
-method uses `stage_data` instead, computed from the same linear stage and the same rows of limits.
+PIQP, IPOPT and the sparse KKT system read their data from this statement. The project's own method uses `stage_data`
+instead, computed from the same linear stage and the same rows of limits.
 
 Variables are stage-wise [dc_k, e_k, x_(k+1), th_(k+1)], k = 0..N-1: the movement of each command and the scaled
 states of `linear_stage`; with a temperature limit also the magnitude e_k of the mean current and the temperature
