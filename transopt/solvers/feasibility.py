@@ -88,8 +88,8 @@ def least_widening(problem: TransientProblem, limits: Collection[str]) -> Wideni
         # From far outside of all limits no step is long enough: a larger factor to begin with puts it inside.
         command = _command(given, found)
         courses = boxes(problem, command, problem.stage.motion(command), Multipliers.zero(problem))
-        shift = ROOM * max(float(box.excess.max()) / box.limit.stated for box in courses)
-        found = _search(given, width, least, shift)
+        shift = ROOM * float(np.max([box.excess.max() / box.limit.stated for box in courses]))
+        found = _search(given, width, least, shift) if np.isfinite(shift) else found
     if found.code > ACCURACY:
         return None
     widened = shift + float(found.command[-1].max())
