@@ -121,7 +121,7 @@ CARRIED_OUT = {
     ),
     (
         "docs/howto/limits.md",
-        "limits.current_A = 3.86 A, or feedback.stiffness_N_m = 51.8 N/m would do",
+        "limits.current_A = 3.71 A, or feedback.stiffness_N_m = 51.8 N/m would do",
     ): what_would_do,
     (
         "docs/reference/bounds.md",

@@ -179,7 +179,7 @@ class _Search:
         """Strengths of a way from its least on, with the one to begin with and one that shows it to be the least."""
         begins = self.begins(way)
         near = {begins, max(begins / NEAR, math.sqrt(begins))} if 1 < begins < math.inf else set()
-        return tuple(sorted(each for each in {*way.strengths, *near} if each >= way.least))
+        return tuple(sorted(each for each in {*way.strengths, *near} if way.least == 1 or each >= way.least))
 
     def first(self, way: _Way) -> float:
         """The strength with which the search begins: a known one, or the middle one."""
