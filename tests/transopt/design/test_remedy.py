@@ -21,14 +21,14 @@ from transopt.design.design import design
 from transopt.design.explain import Change, Remedy, infeasibility, what_would_do
 from transopt.design.optimum import optimum
 from transopt.design.remedy import NEAR, Values, Work, does, remedies
-from transopt.design.scene_entry import SceneEntry
+from transopt.design.scene_entry import NOT_ALL, SceneEntry
 from transopt.problem.answer import Status
 from transopt.problem.stage import layout
 from transopt.recordings.recording import Recording
 from transopt.references.reference import Reference
 from transopt.references.references import References
 from transopt.scene.keys import with_values
-from transopt.scene.recordings import references_of
+from transopt.scene.recordings import recordings_of, references_of
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions, TrialOptions
 
@@ -306,6 +306,19 @@ def test_a_current_takes_the_place_of_a_beta(scene: Scene, taps: list[Recording]
     assert "limits.current_A = " in entry.shortfalls[-1]
     assert " A and no limits.beta" in entry.shortfalls[-1]
     assert not build_library(with_values(weak, stated.values), chosen).refused
+
+
+@pytest.mark.parametrize(("most", "short"), [(10.0, True), (100.0, False)])
+def test_an_entry_whose_trials_took_all_their_work_says_so(
+    monkeypatch: pytest.MonkeyPatch, most: float, short: bool
+) -> None:
+    monkeypatch.setattr("transopt.design.scene_entry.MOST_WORK", most)
+    monkeypatch.setattr(remedy, "does", lambda *_: False)
+    scene = with_values(problems.load("low_supply"), {"limits.stroke_m": 5e-3, **ONE_ENTRY})
+    (entry,) = build_library(scene, recordings_of(scene)).refused
+    (vain,) = [said for said in entry.shortfalls if said.startswith("tried in vain")]
+    assert "limits.stroke_m" in vain
+    assert (NOT_ALL in entry.shortfalls) == short
 
 
 @pytest.mark.parametrize("rate_Hz", [17.0, 50.0, 1e3])
