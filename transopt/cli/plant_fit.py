@@ -38,7 +38,7 @@ RatedV = Annotated[
     float | None, typer.Option("--rms-V", help="Voltage of the datasheet's sine at the resonance, rms.")
 ]
 RatedA = Annotated[float | None, typer.Option("--rms-A", help="Current of that sine, in its place.")]
-Accept = Annotated[bool, typer.Option("--accept", help="Take a response that no actuator has as it is.")]
+Accept = Annotated[bool, typer.Option("--accept", help="Take a response as it is, even one that no actuator has.")]
 
 
 def plant_fit(
@@ -90,7 +90,8 @@ def plant_fit(
     f = measured.frequencies_Hz
     undelayed = measured.response * np.exp(2j * np.pi * f * delay_s)
     fit = fit_response(f, undelayed, order, inputs[driven_by], band_Hz)
-    _check_plausible(response, fit, resonance_Hz, rms_g, rms_V if driven_by == "voltage" else rms_A, accept=accept)
+    wrong = _implausible(fit, resonance_Hz, rms_g, rms_V if driven_by == "voltage" else rms_A)
+    _refuse(response, wrong or _late(fit, delay_s), accept=accept)
     _say_and_save(fit, f"{order} states to {fit.frequencies_Hz.size} points", measured.notes, out, delay_s)
 
 
@@ -129,7 +130,8 @@ def plant_sweep(
     swept = fit_sweep(measured, order, driven_by or "", band_Hz, delay_s)
     fit = swept.fit
     by_voltage = fit.plant.driven_by.unit == "V"
-    _check_plausible(sweep, fit, resonance_Hz, rms_g, rms_V if by_voltage else rms_A, accept=accept)
+    wrong = _implausible(fit, resonance_Hz, rms_g, rms_V if by_voltage else rms_A)
+    _refuse(sweep, wrong or _late(fit, delay_s), accept=accept)
     made_of = f"{fit.plant.order} states to {swept.answered} of {swept.bands} bands of the sweep"
     _say_and_save(fit, made_of, swept.notes, out, delay_s, f"+-{100 * swept.unsure:.2g} % by the record's noise")
 
@@ -146,16 +148,8 @@ def _check_options(driven_by: str | None, out: Path, delay_s: float) -> None:
     terminal.make_folder(out.parent)
 
 
-def _check_plausible(
-    source: Path,
-    fit: "ResponseFit",
-    resonance_Hz: float | None,
-    rms_g: float | None,
-    rms_input: float | None,
-    *,
-    accept: bool,
-) -> None:
-    """Refuse a response that no actuator has, or that contradicts its sheet, unless that is accepted."""
+def _implausible(fit: "ResponseFit", resonance_Hz: float | None, rms_g: float | None, rms_input: float | None) -> str:
+    """Why no actuator has this response, or how it contradicts the data sheet; empty if neither."""
     import numpy as np
 
     from transopt.base.signals import STANDARD_GRAVITY_M_S2
@@ -176,6 +170,24 @@ def _check_plausible(
         at_Hz = np.array([resonance_Hz or fit.frequencies_Hz[np.abs(fit.measured).argmax()]])
         gain = abs(fit.plant.response(at_Hz)[0]) / STANDARD_GRAVITY_M_S2
         wrong = against_sheet(gain, rms_g / rms_input, f"response at {at_Hz[0]:.4g} Hz", f"g/{unit}")
+    return wrong
+
+
+def _late(fit: "ResponseFit", delay_s: float) -> str:
+    """What to state where the fit spends states on a dead time beyond the stated one; empty where it does not."""
+    from transopt.identify.dead_time import dead_time
+
+    found = dead_time(fit)
+    if found is None:
+        return ""
+    return (
+        f"the response is late by a dead time of {1e3 * found.delay_s:.3g} ms, which the fit's {fit.plant.order} "
+        f"states imitate: --delay-s {delay_s + found.delay_s:.3g} --order {found.order} takes it out"
+    )
+
+
+def _refuse(source: Path, wrong: str, *, accept: bool) -> None:
+    """Refuse a response for what is wrong with it, unless that is accepted."""
     if wrong and not accept:
         raise InputError(f"{source}: {wrong}; {ACCEPTED}")
     if wrong:

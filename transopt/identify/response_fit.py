@@ -134,6 +134,7 @@ class ResponseFit:
         points whose noise is known only what exceeds `CERTAIN` standard deviations counts.
     at_rest : whether the fit has the two zeros at s = 0.
     noise : misfit that a perfect fit would show because of the points' noise; 0 where it is not known.
+    deviations : (m,) standard deviations of the points' real and imaginary parts; None where not known.
     """
 
     plant: StateSpace
@@ -144,6 +145,7 @@ class ResponseFit:
     worst: float
     at_rest: bool
     noise: float = 0.0
+    deviations: FloatArray | None = None
 
     __repr__ = brief
 
@@ -201,7 +203,8 @@ def fit_response(
     s = np.asarray(2j * np.pi * f / top, dtype=np.complex128)
     weight, noise = np.ones(f.size), 0.0
     if deviations is not None:
-        weight = 1 / deviations[inside]
+        deviations = deviations[inside]
+        weight = 1 / deviations
         noise = float(np.sqrt(2 * f.size) / np.linalg.norm(weight * G))
         weight = weight / weight.max()
     poles = _resolved(vector_fit(s, G / largest, weight, order, direct=True), f, top)
@@ -218,7 +221,7 @@ def fit_response(
         driven_by=driven_by,
     )
     off = np.abs(plant.response(f) - G)
-    beyond = off if deviations is None else np.maximum(off - CERTAIN * deviations[inside], 0.0)
+    beyond = off if deviations is None else np.maximum(off - CERTAIN * deviations, 0.0)
     return ResponseFit(
         plant=plant,
         frequencies_Hz=f,
@@ -228,6 +231,7 @@ def fit_response(
         worst=float(beyond.max()) / largest,
         at_rest=rests,
         noise=noise,
+        deviations=deviations,
     )
 
 

@@ -104,7 +104,7 @@ def test_a_poor_fit_is_not_fit_to_design_with(fit: Callable[..., Outcome]) -> No
 
 def test_a_delay_is_no_state_and_is_taken_out(fit: Callable[..., Outcome]) -> None:
     measure(delay_s=4e-4)
-    assert fit("--order", "10").code == 1
+    assert_refused(fit("--order", "10"), "a dead time of 0.4 ms", "--delay-s 0.0004 --order 10 takes it out")
     assert fit("--order", "10", "--delay-s", "4e-4").code == 0
 
 
