@@ -184,7 +184,9 @@ def run(request: Request, scene: str) -> int:
         if request.name:
             worst = 0
             for name in OF_ONE_MOTOR if request.name == "all" else [request.name]:
-                code, finding = write(name, loaded, request.out, pool, search=files, figures=request.figures)
+                code, finding = write(
+                    name, loaded, request.out, pool, _command(), search=files, figures=request.figures
+                )
                 terminal.console().print(f"{name}: {finding}")
                 worst = max(worst, code)
             return worst

@@ -185,12 +185,15 @@ def lead_finding(of: Sweep) -> str:
     slow = error[:, speeds_m_s == speeds_m_s.min()].max(axis=1)
     best = int(np.argmin(slow))
     enough = next(j for j, e in enumerate(slow) if e <= slow[best] + AT_FLOOR)
+    # Entries without any lead may all be refused: the finding is then about the least that has some.
+    least = "without a lead" if leads[0] == 0 else f"with a lead of {1e3 * leads[0]:g} ms"
+    late_s = of.plan.scene.time_grid().delay_s - leads[0]
+    why = f", since no current acts before {1e3 * late_s:.3f} ms" if late_s > 0 else ""
     return (
-        f"Without a lead the slowest taps err by {percent(float(slow[0]))} %, since no current acts before "
-        f"{1e3 * of.plan.scene.time_grid().delay_s:.3f} ms; from {1e3 * leads[enough]:g} ms on by "
-        f"{percent(float(slow[enough]))} %, within {100 * AT_FLOOR:g} % of the least. At the fastest and firmest the "
-        f"current limit rules: {percent(float(error[0].max()))} % without, {percent(float(error[-1].max()))} % at "
-        f"{1e3 * leads[-1]:g} ms."
+        f"{least.capitalize()} the slowest taps err by {percent(float(slow[0]))} %{why}; from {1e3 * leads[enough]:g} "
+        f"ms on by {percent(float(slow[enough]))} %, within {100 * AT_FLOOR:g} % of the least. At the fastest and "
+        f"firmest the current limit rules: {percent(float(error[0].max()))} % {least}, "
+        f"{percent(float(error[-1].max()))} % at {1e3 * leads[-1]:g} ms."
     )
 
 

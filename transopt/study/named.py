@@ -120,13 +120,21 @@ def _motor_selection(name: str, scene: Scene, folder: Path, pool: Pool, search: 
 
 
 def write(
-    name: str, scene: Scene, out: Path, pool: Pool, *, search: Sequence[Path] = (), figures: Path | None = None
+    name: str,
+    scene: Scene,
+    out: Path,
+    pool: Pool,
+    command: str,
+    *,
+    search: Sequence[Path] = (),
+    figures: Path | None = None,
 ) -> tuple[int, str]:
     """Solve the missing rows of one named study, and write its files.
 
     Parameters
     ----------
     out : folder that contains the study's folder, which has the study's name.
+    command : what repeats the study, for its report.
     search : folders whose `motors/` hold the files that `motor_selection` compares.
     figures : a folder that receives a copy of the study's figure.
 
@@ -148,7 +156,6 @@ def write(
     else:
         written = _motor_selection(name, scene, folder, pool, search)
     save_figure(written.figure, folder / f"{name}.png", scene.name)
-    command = f"transopt study {scene.name} --study {name} --out DIR"
     write_text(written.report(provenance(command, time.perf_counter() - started)), folder / "report.md")
     if figures is not None:
         try:

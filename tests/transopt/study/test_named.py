@@ -61,11 +61,14 @@ class TestNamed:
         fewer = replace(KEY_STUDIES["current_limit"], axis="limits.current_A=1.25,4,6")
         monkeypatch.setitem(KEY_STUDIES, "current_limit", fewer)
         scene = at(short, [0.1, 0.4], [1.0, 5.0])
-        code, finding = write("current_limit", scene, tmp_path / "out", serial(), figures=tmp_path / "figures")
+        command = "transopt study 'my scene.toml' --study current_limit"
+        code, finding = write(
+            "current_limit", scene, tmp_path / "out", serial(), command, figures=tmp_path / "figures"
+        )
         assert code == 0
         assert "At 1.25 A the limit cuts" in finding
         assert np.ptp(image.imread(tmp_path / "figures" / "current_limit.png")) > 0
-        assert (tmp_path / "out" / "current_limit" / "report.md").exists()
+        assert f"`{command}`: " in (tmp_path / "out" / "current_limit" / "report.md").read_text()
 
     @pytest.mark.parametrize(
         ("name", "axis"),
@@ -100,7 +103,7 @@ class TestNamed:
 
     def test_a_study_without_an_answer_says_why(self, short: Scene, tmp_path: Path) -> None:
         ideal = at(short, [0.4], [5.0]).model_copy(update={"amplifier": "ideal"})
-        code, finding = write("amplifier_bandwidth", ideal, tmp_path, serial())
+        code, finding = write("amplifier_bandwidth", ideal, tmp_path, serial(), "")
         assert code == 1
         assert finding.startswith("0 of 13 entries certified")
         assert "the first: wood_on_foam: amplifier.delay_s: missing" in finding
@@ -138,6 +141,17 @@ class TestNamed:
         assert len(lines) == 2 * entries
         assert len(drawn) == len(figure.axes[0].get_lines())  # no two look the same
         assert not study.finding(plan, made_up(plan, lambda value, grip_N: True))
+
+    def test_a_least_lead_that_is_some_is_not_called_none(self, scene: Scene) -> None:
+        own = KEY_STUDIES["lead"]
+        plan = own.plan(scene)
+        finding = own.finding(plan, made_up(plan))
+        assert finding.startswith("Without a lead the slowest taps err by")
+        assert "no current acts before 0.068 ms" in finding
+        finding = own.finding(plan, made_up(plan, lambda value, grip_N: float(value) == 0))
+        assert finding.startswith("With a lead of 0.1 ms the slowest")
+        assert "ithout a lead" not in finding
+        assert "no current acts before" not in finding  # the lead is longer than the delay of the amplifier
 
     def test_asks_about_the_speeds_and_grips_of_the_scene(self, scene: Scene) -> None:
         other = at(scene, [0.15, 0.2], [2.0, 4.0])
@@ -195,7 +209,7 @@ class TestNamed:
             return found, [replace(optima[0], status="NOT_CERTIFIED"), *optima[1:]]
 
         monkeypatch.setitem(IN_PROCESS, "grip_mismatch", replace(IN_PROCESS["grip_mismatch"], measure=measure))
-        code, _ = write("grip_mismatch", short, tmp_path, serial())
+        code, _ = write("grip_mismatch", short, tmp_path, serial(), "")
         assert code == 1
         rows = read(tmp_path / "grip_mismatch" / "rows.csv")
         assert [row["status"] for row in rows] == ["NOT_CERTIFIED", "OPTIMAL", "OPTIMAL"]
