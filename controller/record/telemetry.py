@@ -42,7 +42,7 @@ MOST_STORED = 2_000_000  # records in the NPZ, 200 s at 10 kHz; the CSV has them
 
 
 class Lines:
-    """A text file that grows by whole lines, each append one write.
+    """A text file that grows by whole lines; what a full disk cuts off is taken back.
 
     Parameters
     ----------
@@ -61,14 +61,20 @@ class Lines:
             )
         except OSError as error:
             raise self._refusal(error) from None
-        self.append(head + "\n")
+        try:
+            self.append(head + "\n")
+        except InputError:  # a file without a head would be taken for a recording
+            self.close()
+            path.unlink()
+            raise
 
     def append(self, text: str) -> None:
-        block = text.encode("ascii")
+        block, whole = text.encode("ascii"), os.fstat(self._file).st_size
         try:
             while block:
                 block = block[os.write(self._file, block) :]
         except OSError as error:
+            os.ftruncate(self._file, whole)
             raise self._refusal(error) from None
 
     def close(self) -> None:

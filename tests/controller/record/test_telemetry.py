@@ -1,6 +1,7 @@
 """Telemetry: nothing lost, nothing halved, readable at any moment."""
 
 import dataclasses
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -53,6 +54,35 @@ def test_both_files_hold_what_was_recorded_bit_for_bit(tmp_path: Path) -> None:
     assert csv["events"][7] == "contact;grip_lost"
     assert csv["events"][8] == ""
     assert not list(tmp_path.glob("*.part"))
+
+
+@pytest.mark.parametrize("room", [0, 40, 1500])
+def test_a_disk_that_fills_within_a_block_leaves_whole_lines_or_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: int
+) -> None:
+    """The system writes what there is room for, and refuses the rest."""
+    left, write_bytes = room, os.write
+
+    def nearly_full(file: int, data: bytes) -> int:
+        nonlocal left
+        if data and not left:
+            raise OSError(28, "No space left on device")
+        written = write_bytes(file, data[:left])
+        left -= written
+        return written
+
+    with monkeypatch.context() as patched:
+        patched.setattr("controller.record.telemetry.os.write", nearly_full)
+        with pytest.raises(InputError, match=r"telemetry.csv: cannot be written \(No space left on device\)"):
+            write(tmp_path, 100, 10)
+    assert not left
+    if room < len(",".join(COLUMNS)):
+        assert not list(tmp_path.iterdir())
+        return
+    assert (tmp_path / CSV_NAME).read_bytes().endswith(b"\n")
+    whole = read_csv(tmp_path / CSV_NAME)["tick"]
+    assert whole.size > 0
+    assert whole.size % 10 == 0
 
 
 def test_readable_while_running(tmp_path: Path) -> None:
