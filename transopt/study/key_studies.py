@@ -189,11 +189,11 @@ def lead_finding(of: Sweep) -> str:
     least = "without a lead" if leads[0] == 0 else f"with a lead of {1e3 * leads[0]:g} ms"
     late_s = of.plan.scene.time_grid().delay_s - leads[0]
     why = f", since no current acts before {1e3 * late_s:.3f} ms" if late_s > 0 else ""
+    first, same, last = (percent(float(each)) for each in (slow[0], slow[enough], error[-1].max()))
     return (
-        f"{least.capitalize()} the slowest taps err by {percent(float(slow[0]))} %{why}; from "
-        f"{1e3 * leads[enough]:g} ms on by {percent(float(slow[enough]))} %, within {100 * AT_FLOOR:g} % of the least. "
-        f"At the fastest and firmest the current limit rules: {percent(float(error[0].max()))} % {least}, "
-        f"{percent(float(error[-1].max()))} % at {1e3 * leads[-1]:g} ms."
+        f"{least.capitalize()} the slowest taps err by {first} %{why}; from {1e3 * leads[enough]:g} ms on by {same} "
+        f"%, within {100 * AT_FLOOR:g} % of the least. At the fastest and firmest the current limit rules: "
+        f"{percent(float(error[0].max()))} % {least}, {last} % at {1e3 * leads[-1]:g} ms."
     )
 
 
