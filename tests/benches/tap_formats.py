@@ -119,8 +119,11 @@ def tdms(channels: Labelled, more: Mapping[str, object] | None = None) -> bytes:
     return stream.getvalue()
 
 
-def workbook(*sheets: list[tuple[object, ...]]) -> bytes:
-    """A workbook of sheets named tap1, tap2 and so on: the least that the format demands (ECMA-376)."""
+def workbook(*sheets: list[tuple[object, ...]], merged: str = "") -> bytes:
+    """A workbook of sheets named tap1, tap2 and so on: the least that the format demands (ECMA-376).
+
+    `merged`: ranges of cells that are merged, such as "A1:D1 B3:D3".
+    """
     head, kind = '<?xml version="1.0"?>', "http://schemas.openxmlformats.org"
     office = f"{kind}/officeDocument/2006/relationships"
     numbers = range(1, len(sheets) + 1)
@@ -138,6 +141,7 @@ def workbook(*sheets: list[tuple[object, ...]]) -> bytes:
             for row in rows
         )
 
+    ranges = "".join(f'<mergeCell ref="{each}"/>' for each in merged.split())
     named = "".join(f'<sheet name="tap{k}" sheetId="{k}" r:id="r{k}"/>' for k in numbers)
     related = "".join(
         f'<Relationship Id="r{k}" Type="{office}/worksheet" Target="worksheets/sheet{k}.xml"/>' for k in numbers
@@ -153,7 +157,7 @@ def workbook(*sheets: list[tuple[object, ...]]) -> bytes:
         f"{related}</Relationships>",
         **{
             f"xl/worksheets/sheet{k}.xml": f'<worksheet xmlns="{kind}/spreadsheetml/2006/main">'
-            f"<sheetData>{cells(rows)}</sheetData></worksheet>"
+            f"<sheetData>{cells(rows)}</sheetData>{ranges and f'<mergeCells>{ranges}</mergeCells>'}</worksheet>"
             for k, rows in zip(numbers, sheets, strict=True)
         },
     }

@@ -96,13 +96,27 @@ def sheet_as_text(data: bytes, notes: list[str]) -> bytes:
         sheets = [book.get_sheet_by_name(name) for name in book.sheet_names]
         if sum(sheet.total_height * sheet.total_width for sheet in sheets) > MOST_CELLS:
             raise ValueError(f"more than {MOST_CELLS} cells")
-        rows_of: dict[str, list[list[object]]] = {sheet.name: sheet.to_python() for sheet in sheets}
+        rows_of = {sheet.name: _filled(sheet) for sheet in sheets}
     name = max(rows_of, key=lambda each: len(rows_of[each]), default="")
     rows = rows_of.get(name, [])
     long = sum(len(each) >= MIN_SAMPLES for each in rows_of.values())
     if long > 1:
         notes.append(f"of {long} sheets the longest, {quote(name)}, is read; save each as a file to use the others")
     return "\n".join(";".join(map(_cell, row)) for row in rows).encode()
+
+
+def _filled(sheet: Any) -> list[list[object]]:
+    """The rows of a sheet; a cell merged over several columns is in each of them, as a unit that they share.
+
+    A cell merged over all columns is a title and stays in the first.
+    """
+    rows: list[list[object]] = sheet.to_python()
+    (top, left) = sheet.start or (0, 0)
+    for (row, first), (_, last) in sheet.merged_cell_ranges or ():
+        cells = rows[row - top] if 0 <= row - top < len(rows) else []
+        if last - first + 1 < len(cells):
+            cells[first - left : last - left + 1] = [cells[first - left]] * (last - first + 1)
+    return rows
 
 
 def _cell(value: object) -> str:
