@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import IO, TYPE_CHECKING, Any, NoReturn
 
 import typer
 from rich.console import Console
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 AGAIN_S = 0.01  # time from a signal whose exception Python ignored to its repetition
 SIGNALLED = 128  # the exit code after a signal is this plus the signal's number
+PIPE = 13  # number of SIGPIPE, which Windows does not know
 LAST_S = 0.6  # time from a signal to the forced end of the process
 WIDTH = 160  # width of tables without a terminal, so that logs and pipes keep whole lines
 _IF_STOPPED: ContextVar[str] = ContextVar("what is said of a command's results when a signal ends it", default="")
@@ -58,19 +59,39 @@ class _HarmlessConsole(Console):
     def render_str(self, text: str, **how: Any) -> Text:
         return super().render_str(harmless(text, keep="\n\t"), **how)
 
+    def on_broken_pipe(self) -> None:
+        """End as by the signal of a reader that has gone, and not with the code of a result that fell short."""
+        with suppress(SystemExit):
+            super().on_broken_pipe()
+        raise SystemExit(SIGNALLED + PIPE)
+
     def print(self, *objects: Any, **how: Any) -> None:
         """Print; on a terminal sentences are wrapped between words, otherwise they stay on one line.
 
         A command to be typed is never wrapped, so that it can be copied.
+
+        Raises
+        ------
+        InputError : the output cannot be written, as on a full disk.
         """
         sentences = all(isinstance(each, str) for each in objects)
         if sentences and self.is_terminal:
             objects = tuple(map(self._broken, objects))
-        super().print(*objects, **{"soft_wrap": sentences, **how})
+        try:
+            super().print(*objects, **{"soft_wrap": sentences, **how})
+        except OSError as error:
+            _close_off(self.file)
+            raise InputError(f"standard output: cannot be written ({error.strerror}); choose another place") from None
 
     def _broken(self, text: str) -> str:
         fill = partial(textwrap.fill, width=self.width, break_long_words=False, break_on_hyphens=False)
         return "\n".join(line if "transopt" in line else fill(line) for line in text.split("\n"))
+
+
+def _close_off(stream: IO[str]) -> None:
+    """Send all that a stream still holds nowhere, which Python would try to write again at its end."""
+    with Path(os.devnull).open("w") as nowhere:
+        os.dup2(nowhere.fileno(), stream.fileno())
 
 
 def console() -> Console:
@@ -137,6 +158,8 @@ def run(
     programs : program -> its commands; an unknown command that another program has is answered with that program.
     """
     os.environ.update(one_thread(os.environ))  # before numpy is loaded, which happens inside the commands
+    # A standard stream that is closed takes what is printed without an error.
+    sys.stdout, sys.stderr = (stream or Path(os.devnull).open("w") for stream in (sys.stdout, sys.stderr))  # noqa: SIM115
     # Characters that the terminal's encoding lacks (the C locale's is ASCII) are escaped instead of raising an error.
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):

@@ -1,16 +1,19 @@
 """What all command lines do with words they do not know: one line, exit code 2."""
 
 import re
+import shlex
 import signal
 import subprocess
 import sys
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 import typer
 
 from controller.cli.play import app as play_app
 from tests.benches.commands import MAINS, Terminal, assert_refused
+from tests.benches.places import ROOT
 from transopt.base.terminal import run
 from transopt.cli.main import app as transopt_app
 from transopt.cli.start import COMMANDS
@@ -53,6 +56,31 @@ def test_help_is_of_whole_paragraphs_and_gives_a_flag_no_type(
     (paragraph,) = re.findall(r"Exit 1: .*?\n *\n", said, re.DOTALL)
     lines = [line.strip() for line in paragraph.strip().splitlines()]
     assert all(len(line) + len(after.split()[0]) >= 76 for line, after in pairwise(lines)), paragraph
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the shell of Unix")
+@pytest.mark.parametrize(
+    ("behind", "code", "words"),
+    [
+        (">&-", 0, ""),
+        ("2>&-", 0, ""),
+        (
+            "> /dev/full",
+            2,
+            "error: standard output: cannot be written (No space left on device); choose another place\n",
+        ),
+        ("| head -1", 141, ""),
+    ],
+)
+def test_an_output_that_takes_nothing_is_no_traceback(behind: str, code: int, words: str) -> None:
+    """The pipe's first part has to have more to print than a pipe holds."""
+    if "/dev/full" in behind and not Path("/dev/full").exists():
+        pytest.skip("no device that is always full")
+    many = "for _ in range(3000): terminal.console().print('a line of a long table, again and again')"
+    program = f"from transopt.base import terminal\ndef say() -> None:\n    {many}\nterminal.run(say)"
+    line = f"{shlex.join([sys.executable, '-c', program])} {behind}; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, timeout=60, cwd=ROOT, check=False)
+    assert (done.returncode, done.stderr) == (code, words)
 
 
 @pytest.mark.parametrize(("module", "name"), [("transopt", "transopt"), ("controller", "transopt-play")])
