@@ -26,16 +26,16 @@ _A_TABLE = re.compile(r"Input should be a valid dictionary or (instance of \w+|o
 
 
 def read_text(path: Path, advice: str) -> str:
-    """The text of a file, with line ends as on Unix; `advice` is the next step in the message of an error.
+    """The text of a file, with line ends as on Unix and no byte order mark; `advice` is the next step in an error.
 
     Raises
     ------
     InputError : no such file, or not a text file.
     """
     try:
-        return read_file(path, MOST_TEXT_BYTES, advice).decode("utf-8").replace("\r\n", "\n")
+        return read_file(path, MOST_TEXT_BYTES, advice).decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: cannot be read as text ({error}); {advice}") from None
+        raise InputError(f"{path}: cannot be read as text ({error}); save it as UTF-8; {advice}") from None
 
 
 def parse_toml(text: str, path: Path, advice: str) -> dict[str, Any]:

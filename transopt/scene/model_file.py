@@ -67,7 +67,7 @@ def _parsed(source: Path | str, content: bytes) -> ModelFile:
     """
     advice = "give a file written by `transopt identify`, or identify again into another file"
     try:
-        parsed = json.loads(content.decode("utf-8"), parse_constant=_refuse_constant)
+        parsed = json.loads(content.decode("utf-8-sig"), parse_constant=_refuse_constant)
         check_depth(parsed)
     except UnicodeDecodeError:
         raise InputError(f"{source}: not a text file, so no model file; {advice}") from None

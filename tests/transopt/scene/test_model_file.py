@@ -36,6 +36,8 @@ def test_what_is_read_is_what_was_written(full: Path) -> None:
         assert getattr(read, name) == part
     assert {"transopt", "numpy", "scipy", "python"} <= set(read.versions)
     assert json.loads(full.read_text())["schema"] == 1
+    full.write_text("\ufeff" + full.read_text(), encoding="utf-8")  # as an editor of Windows saves it
+    assert load_model(full) == read
 
 
 def test_a_part_takes_the_place_of_its_own_kind_only(full: Path) -> None:

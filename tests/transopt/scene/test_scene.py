@@ -1,5 +1,6 @@
 """Scene files: what is accepted, and that every refusal names file, key, value and limit."""
 
+import codecs
 import re
 from pathlib import Path
 
@@ -245,6 +246,13 @@ def test_an_ideal_amplifier_is_stated_never_assumed(tmp_path: Path) -> None:
     assert "command" not in limits_of(scene)
 
 
+def test_a_scene_as_editors_on_windows_save_it_is_the_same(tmp_path: Path) -> None:
+    (tmp_path / "plain.toml").write_text(TEXT)
+    (tmp_path / "marked.toml").write_bytes(codecs.BOM_UTF8 + TEXT.replace("\n", "\r\n").encode())
+    plain, marked = (problems.load(tmp_path / f"{name}.toml") for name in ("plain", "marked"))
+    assert marked.model_copy(update={"name": plain.name}) == plain
+
+
 def test_files_that_are_no_scene(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         read_scene(tmp_path / "absent.toml")
@@ -252,5 +260,5 @@ def test_files_that_are_no_scene(tmp_path: Path) -> None:
         read_scene(tmp_path)
     binary = tmp_path / "binary.toml"
     binary.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="cannot be read as text"):
+    with pytest.raises(InputError, match=r"cannot be read as text .* save it as UTF-8"):
         read_scene(binary)
