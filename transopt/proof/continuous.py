@@ -44,8 +44,8 @@ def _radau(stages: int) -> tuple[FloatArray, FloatArray]:
 
     Nodes as in Hairer & Wanner, Solving Ordinary Differential Equations II, Sec. IV.5.
     """
-    # Roots of the difference of two Legendre polynomials, P_s - P_(s-1).
-    nodes = (np.polynomial.legendre.legroots([0.0] * (stages - 1) + [-1.0, 1.0]) + 1) / 2
+    # Roots of the difference of two Legendre polynomials, P_s - P_(s-1): real, but from numpy 2.5 on of complex type.
+    nodes = (np.polynomial.legendre.legroots([0.0] * (stages - 1) + [-1.0, 1.0]).real + 1) / 2
     powers = np.arange(stages)
     integrals = nodes[:, None] ** (powers + 1) / (powers + 1)
     butcher = integrals @ np.linalg.inv(nodes[:, None] ** powers)
