@@ -84,6 +84,7 @@ def taps(
         implausible_lines,
         scene_lines,
         scene_of_taps,
+        shared_notes,
         taps_table,
     )
     from transopt.scene.builtin import scene_path
@@ -116,6 +117,8 @@ def taps(
     prepared, settings = found
     console = terminal.console()
     console.print(taps_table(prepared))
+    for note in shared_notes(prepared):
+        console.print(f"of all {len(prepared)}: {note}")
     cells = cells_table(prepared)
     if cells is not None:
         console.print(cells)

@@ -21,13 +21,15 @@ from transopt.references.references import COST, grip_groups
 
 NO_GRAVITY_M_S2 = 0.5  # a smaller offset: the sensor is within 3 degrees of level, or reads no gravity
 MOST_LINES = 3  # lines of one kind; the files of a folder usually share a fault
+MOST_SPREAD = 2.0  # ratio of the peaks of taps of one speed: a hand's angle, grip and aim change less
 CLUSTER_WIDTH = 0.1  # relative width of a group of speeds; a tap may be scaled by 15 % to its grid speed
 
 
 def taps_table(taps: Sequence[PreparedTap]) -> Table:
     """One row per tap: rate, onset, offset, polarity, speed, grip, a0, peak, and what differs or is there at all."""
     sources = {tap.speed_source for tap in taps}
-    clipped, noted = any(tap.clipped_samples for tap in taps), any(tap.notes for tap in taps)
+    shared = set(shared_notes(taps))
+    clipped, noted = any(tap.clipped_samples for tap in taps), any(set(tap.notes) - shared for tap in taps)
     names = (
         "file",
         "rate kHz",
@@ -60,9 +62,14 @@ def taps_table(taps: Sequence[PreparedTap]) -> Table:
             "?" if tap.incoming_source == UNSEPARATED else f"{tap.incoming_acceleration_m_s2:.2f}",
             f"{tap.peak_m_s2 / STANDARD_GRAVITY_M_S2:.3g}",
             *[str(tap.clipped_samples) if tap.clipped_samples else "no"] * clipped,
-            *["; ".join(tap.notes) or "-"] * noted,
+            *["; ".join(note for note in tap.notes if note not in shared) or "-"] * noted,
         )
     return table
+
+
+def shared_notes(taps: Sequence[PreparedTap]) -> list[str]:
+    """The notes on every one of several taps, which the table of taps leaves out."""
+    return [note for note in taps[0].notes if all(note in tap.notes for tap in taps)] if len(taps) > 1 else []
 
 
 def cells_table(taps: Sequence[PreparedTap]) -> Table | None:
@@ -105,6 +112,25 @@ def hints(taps: Sequence[PreparedTap], settings: Recordings) -> list[str]:
             "no recording has the offset that gravity makes. Records of transopt-play and level sensors have none; "
             "if the sensor is of the IEPE type it loses 3 to 22 % of a tap: state its cut-off, as --trusted-from-Hz 2"
         )
+    found += _uneven(taps)
+    return found
+
+
+def _uneven(taps: Sequence[PreparedTap]) -> list[str]:
+    """A sentence on each stated speed whose taps' peaks differ as those of one speed do not."""
+    found = []
+    stated = [tap for tap in taps if tap.recording.speed_m_s is not None]
+    for group in _speed_groups([tap.speed_m_s for tap in stated]):
+        peaks = {tap.recording.name: tap.peak_m_s2 for tap in stated if tap.speed_m_s in group}
+        low, high = (choose(peaks, key=lambda name: peaks[name]) for choose in (min, max))
+        if peaks[high] > MOST_SPREAD * peaks[low]:
+            spread = " to ".join(f"{peaks[name] / STANDARD_GRAVITY_M_S2:.3g} g ({name})" for name in (low, high))
+            slower = f"{{ {json.dumps(low)} = {_mean(group) * peaks[low] / peaks[high]:.2g} }}"
+            found.append(
+                f"{len(peaks)} taps are stated to come at {_mean(group):g} m/s, with peaks of {spread}: taps of one "
+                "speed differ less, and a peak grows with the speed; state the speed of each in the scene, as "
+                f"recordings.speed_by_file_m_s = {slower}"
+            )
     return found
 
 

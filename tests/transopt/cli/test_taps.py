@@ -24,6 +24,23 @@ class TestTaps:
         assert "stated" in outcome.out
         assert Path("look/taps.png").read_bytes()[:4] == b"\x89PNG"
 
+    def test_what_all_taps_share_is_said_once_and_one_speed_of_unequal_taps_is_doubted(self, run: Run) -> None:
+        for k, size in enumerate((1.0, 0.8, 0.3), start=1):
+            times_s = np.arange(-500, 1500) / 1e4
+            tap = 100 * size * np.exp(-120 * times_s) * np.sin(1400 * times_s) * (times_s > 0)
+            rows = np.column_stack([times_s, 9.80665 + tap + 0.01 * np.sin(np.arange(2000) ** 2)])
+            np.savetxt(f"t{k}.csv", rows, delimiter=",", header="time_s,acceleration_m_s2", comments="")
+        shared = "offset and incoming acceleration are not told apart without a position"
+        outcome = run("taps", "t1.csv", "t2.csv", "t3.csv", "--speed", 0.3, "--grip", 3, "--accept")
+        assert outcome.out.count(shared) == 1
+        assert f"of all 3: {shared}" in outcome.out
+        slower = re.search(r"recordings\.speed_by_file_m_s = \{ \"t3\.csv\" = ([\d.]+) \}", outcome.out)
+        assert slower is not None
+        assert float(slower[1]) == pytest.approx(0.3 * 0.3, rel=0.1)
+        equal = run("taps", "t1.csv", "t2.csv", "--speed", 0.3, "--grip", 3, "--accept")
+        assert "speed_by_file_m_s" not in equal.out
+        assert f"of all 1: {shared}" not in run("taps", "t1.csv", "--speed", 0.3, "--grip", 3, "--accept").out
+
     def test_the_lines_make_a_scene_that_solves(self, run: Run) -> None:
         """Put where the user is told to put them."""
         outcome = run("taps", *sorted(EXAMPLES.glob("*.csv")))
