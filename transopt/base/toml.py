@@ -122,6 +122,8 @@ def _known_keys(keys: tuple[str | int, ...], content: Any, kind: type[Section]) 
     tables: list[Any] = [kind]
     for key in keys[:-1]:
         content = content[key]
+        if isinstance(key, int):
+            continue  # the tables of a list are of the kind that its key states
         annotations = [t.model_fields[key].annotation for t in tables if key in t.model_fields]
         members = [member for a in annotations for member in (a, *get_args(a))]
         tables = [member for member in members if isinstance(member, type) and issubclass(member, Section)]

@@ -138,9 +138,10 @@ def target_reference(target: TargetTable, grid: TimeGrid, settings: Recordings) 
         signal, sha256 = _of_file(target, settings)
         ends_s = (signal.end_s if target.length_s is None else target.start_s + target.length_s) - target.start_s
     if ends_s > grid.end_s:
+        shorten = "shorten the target" if target.file is None else f"state length_s of the target in {target.file}"
         raise InputError(
             f"targets.{target.name}: lasts {ends_s * 1e3:.4g} ms, the waveform ends at {grid.end_s * 1e3:.4g} ms: "
-            "raise time.stages or shorten the target"
+            f"raise time.stages or {shorten}"
         )
 
     def at(instants_s: FloatArray) -> FloatArray:

@@ -111,7 +111,7 @@ PLAUSIBLE = {
     "lowpass_Hz": (50.0, 1e5),
     "recordings.grip_N": (0.05, 60.0),
     "rate_Hz": (200.0, 1e8),
-    "start_s": (1e-6, 1.0),
+    "start_s": (1e-6, 1e4),  # of a target in a recording, which may be of hours
     "length_s": (1e-5, 1.0),
     "decay_s": (1e-5, 1.0),
     "frequency_Hz": (1.0, 2e4),

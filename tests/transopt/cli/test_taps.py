@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import wavfile
 
 import problems
 from tests.benches.commands import Run, assert_refused
@@ -40,6 +41,27 @@ class TestTaps:
         equal = run("taps", "t1.csv", "t2.csv", "--speed", 0.3, "--grip", 3, "--accept")
         assert "speed_by_file_m_s" not in equal.out
         assert f"of all 1: {shared}" not in run("taps", "t1.csv", "--speed", 0.3, "--grip", 3, "--accept").out
+
+    def test_one_tap_of_a_long_wav_file_is_the_target_of_an_actuator(self, run: Run) -> None:
+        """What is proposed, done in turn: the full scale, then which part of the file is the target."""
+        times_s = np.arange(int(5.2 * 20_000)) / 20_000 - 5.0
+        tap = 60 * np.exp(-120 * np.maximum(times_s, 0.0)) * np.sin(1400 * times_s) * (times_s > 0)
+        wavfile.write("taps.wav", 20_000, np.round(tap / 500 * 32767).astype(np.int16))
+        scene = problems.scene_path("lra_click").read_text()
+        first, rest = scene.index("[[targets]]"), scene.index("[model]")
+        before, after = scene[:first] + '[[targets]]\nname = "tap"\nfile = "taps.wav"\n', "\n" + scene[rest:]
+        recordings = "[recordings]\nfull_scale_m_s2 = 500.0\n"
+        for target, said in (
+            ("", "in a scene recordings.full_scale_m_s2 = "),
+            ("full_scale_m_s2 = 500.0\n", "known here: name, shape, frequency_Hz, "),
+            (recordings, "raise time.stages or state length_s of the target in taps.wav"),
+        ):
+            Path("mine.toml").write_text(before + target + after)
+            assert_refused(run("solve", "mine.toml", "--no-figures"), said)
+        Path("mine.toml").write_text(f"{before}start_s = 5.0\nlength_s = 0.03\nscale = 0.1\n{recordings}{after}")
+        outcome = run("solve", "mine.toml", "--no-figures")
+        assert outcome.code == 0, outcome.err
+        assert "1 target, proven optimal" in outcome.out
 
     def test_the_lines_make_a_scene_that_solves(self, run: Run) -> None:
         """Put where the user is told to put them."""
