@@ -1,6 +1,5 @@
 """Find, read and write device files; an error is one line with file, key, value and limit."""
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,12 +10,12 @@ from transopt.base.errors import InputError
 from transopt.base.files import is_file, whole_file
 from transopt.base.nearest import did_you_mean
 from transopt.base.toml import parse_toml, read_text, read_toml, section_of, toml_value
+from transopt.base.toml_edit import edited
 
 BESIDE = "device.toml"  # name of the device file in the folder of a library
 EXAMPLES = Path(__file__).parent / "examples"
 ADVICE = "a device file is TOML; `transopt-play device new FILE` writes one"
 OF_A_CIRCUIT = "power"  # a table of every circuit file, which no device file has
-_TABLE = re.compile(r"^\s*\[\s*([^\]]*?)\s*\]")
 
 
 @dataclass(frozen=True)
@@ -153,26 +152,11 @@ def restate(path: Path, key: str, value: float) -> None:
     ------
     InputError : the file cannot be read or written, or its layout does not allow the change.
     """
-    table, _, name = key.partition(".")
-    lines, inside, at, end = read_text(path, ADVICE).split("\n"), False, None, None
-    wanted = re.compile(rf"^(\s*(?:#\s*)?{re.escape(name)}\s*=\s*)([^#]*?)(\s*(?:#.*)?)$")
-    for j, line in enumerate(lines):
-        heading = _TABLE.match(line)
-        if heading:
-            inside = heading.group(1) == table
-            end = j if inside else end
-        elif inside and wanted.match(line):
-            at = j
-    if at is not None:
-        found = wanted.match(lines[at])
-        assert found is not None
-        lines[at] = f"{found.group(1).replace('#', '', 1).lstrip()}{value!r}{found.group(3)}"
-    elif end is not None:
-        lines.insert(end + 1, f"{name} = {value!r}")
-    else:
-        lines = [*lines[: -1 if lines[-1] == "" else None], "", f"[{table}]", f"{name} = {value!r}", ""]
-    text = "\n".join(lines)
-    if parse_toml(text, path, ADVICE).get(table, {}).get(name) != value:
+    before = read_text(path, ADVICE)
+    parse_toml(before, path, ADVICE)
+    text = edited(before, {key: value}, noted=False)
+    if text is None:
+        table, _, name = key.partition(".")
         raise InputError(
             f"{path}: write {name} = {value!r} into its table [{table}] by hand; it is laid out unusually"
         )

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from transopt.base.errors import InputError
+from transopt.base.toml_edit import edited
 from transopt.files.unclear import Answer, joined
 from transopt.library.columns import COLUMNS, EntryTable
 from transopt.library.library import Library
@@ -14,7 +15,6 @@ from transopt.report.tried import Taps, prepared, usable
 from transopt.scene.builtin import load_scene, scene_names, scene_path
 from transopt.scene.keys import IN_PLACE_OF, with_values
 from transopt.scene.scene import Scene
-from transopt.scene.written import edited
 from transopt.web.controls import input_key
 from transopt.web.service import Service
 from transopt.web.shown import FIGURES

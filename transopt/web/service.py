@@ -16,6 +16,7 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.base.threads import one_blas_thread
+from transopt.base.toml_edit import edited
 from transopt.design.build import build_library
 from transopt.design.context import Context, Posed
 from transopt.design.design import design
@@ -35,7 +36,7 @@ from transopt.scene.builtin import FOLDER
 from transopt.scene.keys import IN_PLACE_OF, Value, keys, with_values
 from transopt.scene.recordings import recordings_of, references_of
 from transopt.scene.scene import Scene
-from transopt.scene.written import edited, scene_text
+from transopt.scene.written import scene_text
 from transopt.solvers.options import SolverOptions, TrialOptions
 from transopt.web.controls import DEVICE, TABLES, Control, controls
 from transopt.web.price import priced
