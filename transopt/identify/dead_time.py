@@ -19,10 +19,12 @@ from transopt.base.sizes import LONGEST_DELAY_S
 from transopt.identify.response_fit import CERTAIN, ResponseFit, fit_response
 from transopt.plant.state_space import StateSpace
 
-FOLLOWS = 0.01  # misfit beyond noise at which a fit of fewer states follows as well as one that has no less
+FOLLOWS = 0.01  # misfit beyond noise up to which a delayed fit explains a response that a fit does not follow
+EXACT = 1e-3  # the same beside a fit that follows: a smaller misfit of its own is not asked for
+LEAST = 0.25  # period of the highest frequency: a shorter delay is not told from the lag of an amplifier or a sensor
 MOST_TURNS = 8  # half turns of the highest frequency that are tried where a fit does not follow the response
 TRIED = 24  # delays tried per period of the highest frequency: half a step off costs a misfit of about five percent
-SHARP = 1e-3  # of that period: how closely the delay is found
+SHARP = 1e-4  # of that period: how closely the delay is found
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ def dead_time(fit: ResponseFit) -> DeadTime | None:
         return None
     turns = (unstable + 1 if good else MOST_TURNS) / 2
     longest_s = min(turns * period_s, LONGEST_DELAY_S)
-    bound = max(_beyond_noise(fit), FOLLOWS**2) if good else FOLLOWS**2
+    bound = max(_beyond_noise(fit), EXACT**2) if good else FOLLOWS**2
 
     def late(order: int) -> DeadTime | None:
         off = partial(_off, fit, order)
@@ -62,7 +64,9 @@ def dead_time(fit: ResponseFit) -> DeadTime | None:
         order = (too_few + enough) // 2
         fewer = late(order)
         found, too_few, enough = (found, order, enough) if fewer is None else (fewer, too_few, order)
-    return found if found is not None and _off(fit, found.order, 0.0) > bound else None
+    if found is None or found.delay_s < LEAST * period_s or _off(fit, found.order, 0.0) <= bound:
+        return None
+    return found
 
 
 def _off(fit: ResponseFit, order: int, delay_s: float) -> float:

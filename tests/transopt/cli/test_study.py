@@ -114,7 +114,7 @@ class TestCommandLine:
         asked = []
 
         def write(
-            name: str, scene: Scene, out: Path, pool: Pool, *, search: object, figures: Path
+            name: str, scene: Scene, out: Path, pool: Pool, command: str, *, search: object, figures: Path
         ) -> tuple[int, str]:
             asked.append((name, scene.name, out, figures))
             return int(name == "lead"), f"the finding of {name}"
