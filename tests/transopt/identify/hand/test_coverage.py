@@ -31,7 +31,7 @@ def experiments(repeats: int, seed: int) -> tuple[FloatArray, FloatArray]:
             )
         ]
         for part in np.array_split(np.arange(grips.size), batch):
-            lines = fit_hand([taps[j] for j in part], seed=len(found)).lines
+            lines = fit_hand([taps[j] for j in part]).lines
             found.append(np.array([value for one in lines for value in (one.line.constant, one.line.per_newton)]))
             intervals.append(np.concatenate([one.intervals for one in lines]))
     return np.array(found), np.array(intervals)

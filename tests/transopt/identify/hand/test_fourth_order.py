@@ -80,7 +80,7 @@ class Session:
 
     def fitted(self, seed: int) -> tuple[HandFit, FourthOrderFit]:
         found = self.taps(seed)
-        hand = fit_hand(found, resamples=200)
+        hand = fit_hand(found)
         return hand, fit_fourth_order(found, hand, starts=1)
 
 
@@ -252,7 +252,7 @@ def test_taps_designed_with_it_are_within_a_point_of_who_knows_the_truth(
     for seed in seeds:
         runs = load_measurements(write_trials(tapping_trials(seed, hand="fourth_order"), tmp_path / f"{seed}"))
         taps, _ = usable_taps(runs)
-        hand = fit_hand(taps, resamples=200)
+        hand = fit_hand(taps)
         part = hand_part(hand, fit_fourth_order(taps, hand), runs)
         assert (part.kind, part.shortfalls) == ("fourth_order", [])
         save_part(tmp_path / "MODEL.json", "hand", part)

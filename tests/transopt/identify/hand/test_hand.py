@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.signal import lsim
 
 from problems.generators.tapping_trials import (
     FOURTH_ORDER_HAND,
@@ -26,7 +25,7 @@ from transopt.base.plotting import save_figure
 from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
 from transopt.base.signals import FloatArray, Signal
 from transopt.identify.device.chain import HAND
-from transopt.identify.hand.fourth_order import NAMES, _simulate, fit_fourth_order
+from transopt.identify.hand.fourth_order import NAMES, fit_fourth_order
 from transopt.identify.hand.lines import LEAST_TRIALS, HandFit, fit_hand
 from transopt.identify.hand.tap import HandTap, cut_tap, fit_tap, onset, tap_of, usable_taps
 from transopt.identify.measurement import Measurement
@@ -120,7 +119,7 @@ def test_a_force_that_is_read_a_sample_apart_is_reported(trials: Trials, hand: H
     assert not any("read about a sample" in text for text in hand.shortfalls())
     force = np.roll(trials.force_N, by, axis=1)
     force[:, [0, -1]] = trials.force_N[:, [0, -1]]
-    apart = fit_hand(cut(replace(trials, force_N=force)), resamples=200)
+    apart = fit_hand(cut(replace(trials, force_N=force)))
     assert any(f"the force is read about a sample {word} than" in text for text in apart.shortfalls())
 
 
@@ -204,26 +203,11 @@ def test_a_light_hand_is_taken_where_the_message_says(cut_taps: list[HandTap]) -
     light = [replace(tap, force_N=tap.force_N / G) for tap in cut_taps]
     with pytest.raises(InputError, match=r"if they are right, --accept takes it"):
         fit_hand(light)
-    mass = fit_hand(light, resamples=20, accept=True).lines[0].line.constant
-    assert mass == pytest.approx(fit_hand(cut_taps, resamples=20).lines[0].line.constant / G, rel=0.01)
+    mass = fit_hand(light, accept=True).lines[0].line.constant
+    assert mass == pytest.approx(fit_hand(cut_taps).lines[0].line.constant / G, rel=0.01)
 
 
 # ------------------------------------------------------------------------------------------------ fourth order
-
-
-def test_simulation_of_the_chain_against_scipy() -> None:
-    random = np.random.default_rng(0)
-    force = random.standard_normal((3, 200)).cumsum(axis=1)
-    hand = np.array([0.17, 1e4, 20.0, 150.0, 9.0])[:, None] * random.uniform(0.5, 2, (5, 3))
-    dt = np.array([1e-4, 2e-4, 1e-4])
-    found = _simulate(np.full(3, 0.04), hand, dt, force)
-    for j in range(3):
-        m, *links = hand[:, j]
-        model = chain(
-            [0.04, m], [Link(links[0], links[1]), Link(links[2], links[3])], force_per_current_N_A=1.0, stylus=0
-        )
-        _, expected, _ = lsim((model.A, model.B, model.C, model.D), force[j], dt[j] * np.arange(200))
-        np.testing.assert_allclose(found[j], expected, atol=1e-11 * np.abs(expected).max())
 
 
 def test_the_fourth_order_hand_comes_back_where_hands_do_not_scatter() -> None:
