@@ -112,6 +112,22 @@ class TestCourses:
             )
             assert found[1 + j] == pytest.approx((up - down) / 2e-5, abs=1e-6 * np.abs(found[1 + j]).max() + 1e-9)
 
+    def test_a_ramped_input_moves_a_hand_as_scipy_says(self) -> None:
+        """Stylus, skin, hand and arm under a force that is linear between samples, and their slopes."""
+        force = np.append(0.0, np.random.default_rng(0).standard_normal(199).cumsum())
+        values, stylus = np.array([0.04, 0.17, 1e4, 20.0, 150.0, 9.0]), ("stylus_mass_kg",)
+        for dt_s in (1e-4, 5e-4):
+            plant, slopes = log_slopes(values, 1.0, stylus)
+            found = courses(plant, Instrument(dt_s), force, slopes, ramped=True)[:, ACCELERATION]
+            _, wanted, _ = signal.lsim((plant.A, plant.B, plant.C, plant.D), force, dt_s * np.arange(200))
+            assert found[0] == pytest.approx(wanted, abs=1e-11 * np.abs(wanted).max())
+            for j in range(values.size):
+                up, down = (
+                    log_slopes(values * np.exp(sign * 1e-5 * np.eye(6)[j]), 1.0, stylus)[0] for sign in (1, -1)
+                )
+                up_s, down_s = (courses(one, Instrument(dt_s), force, ramped=True)[0, 1] for one in (up, down))
+                assert found[1 + j] == pytest.approx((up_s - down_s) / 2e-5, abs=1e-6 * np.abs(found[1 + j]).max())
+
 
 def three(scene: Scene, library: Library, hand: HandSection, seed: int) -> list[PlayedRecord]:
     return [record(scene, library, hand, (1, ig), 10 * seed + ig, dead_A=0.01) for ig in range(3)]

@@ -4,7 +4,7 @@ The chain has nine parameters at a grip and four for the free device. It is that
 mass, transmission, stylus, and the seed's Fig. 4b for the hand.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +22,6 @@ from transopt.scene.plausible import PLAUSIBLE
 
 SHARED = ("moving_mass_kg", "stylus_mass_kg", "transmission_stiffness_N_m", "transmission_damping_N_s_m")
 HAND = ("mass_kg", "skin_stiffness_N_m", "skin_damping_N_s_m", "arm_stiffness_N_m", "arm_damping_N_s_m")
-STYLUS = 1  # index of the stylus among the masses
 RANGE = 1e3  # every parameter of the chain stays within this factor of its start
 # A fit may end at its bound; the margin keeps that number plausible where it is rounded.
 LEAST_KG = {name: PLAUSIBLE[name][0] * (1 + 1e-9) for name in ("moving_mass_kg", "stylus_mass_kg", "hand.mass_kg")}
@@ -79,17 +78,23 @@ def hand_table(hand: FloatArray) -> dict[str, dict[str, float]]:
     return {name: {"constant": constant, "per_newton": slope} for name, (constant, slope) in lines}
 
 
-def chain_of(parameters: FloatArray, force_per_current_N_A: float) -> StateSpace:
-    """The plant of (9,) parameters, or of (4,) for the free device."""
-    mass, stylus, stiffness, damping, *hand = parameters.tolist()
-    masses, links = [mass, stylus], [Link(stiffness, damping)]
-    if hand:
-        masses.append(hand[0])
-        links += [Link(hand[1], hand[2]), Link(hand[3], hand[4])]
-    return chain(masses, links, force_per_current_N_A=force_per_current_N_A, stylus=STYLUS)
+def chain_of(parameters: FloatArray, force_per_current_N_A: float, shared: tuple[str, ...] = SHARED) -> StateSpace:
+    """The plant of parameters in the order of `shared` and `HAND`, or of `shared` alone for the free device."""
+    named = list(zip((*shared, *HAND), parameters.tolist(), strict=False))
+    masses = {name: value for name, value in named if name.endswith("mass_kg")}
+    stiffness, damping = ([value for name, value in named if unit in name] for unit in ("stiffness", "damping"))
+    links, stylus = list(map(Link, stiffness, damping)), _stylus(masses)
+    return chain(list(masses.values()), links, force_per_current_N_A=force_per_current_N_A, stylus=stylus)
 
 
-def log_slopes(parameters: FloatArray, force_per_current_N_A: float) -> tuple[StateSpace, tuple[Slope, ...]]:
+def _stylus(names: Iterable[str]) -> int:
+    """Index of the stylus among the masses of a chain with these parameters."""
+    return [name for name in names if name.endswith("mass_kg")].index("stylus_mass_kg")
+
+
+def log_slopes(
+    parameters: FloatArray, force_per_current_N_A: float, shared: tuple[str, ...] = SHARED
+) -> tuple[StateSpace, tuple[Slope, ...]]:
     """A chain and its exact derivatives with respect to the logarithm of each parameter.
 
     The acceleration of a mass (`transopt.plant.chain`) is proportional to 1/mass, and enters the rates of the two
@@ -97,10 +102,10 @@ def log_slopes(parameters: FloatArray, force_per_current_N_A: float) -> tuple[St
 
     Parameters
     ----------
-    parameters : (9,), or (4,) for the free device.
+    parameters, shared : see `chain_of`.
     """
-    plant = chain_of(parameters, force_per_current_N_A)
-    n, names = plant.order // 2, (*SHARED, *HAND)[: parameters.size]
+    plant, names = chain_of(parameters, force_per_current_N_A, shared), (*shared, *HAND)[: parameters.size]
+    n, stylus = plant.order // 2, _stylus(names)
     joined, sums = np.eye(n) - np.eye(n, k=1), np.triu(np.ones((n, n)))  # rates by velocities, and their inverse
     by_state, by_current = sums @ plant.A[n:], sums @ plant.B[n:]
     A, B = np.zeros((parameters.size, *plant.A.shape)), np.zeros((parameters.size, *plant.B.shape))
@@ -115,7 +120,7 @@ def log_slopes(parameters: FloatArray, force_per_current_N_A: float) -> tuple[St
         else:
             A[j, n:, n + link] = plant.A[n:, n + link]
             link += 1
-    C, D = (sums[STYLUS : STYLUS + 1] @ each[:, n:] for each in (A, B))
+    C, D = (sums[stylus : stylus + 1] @ each[:, n:] for each in (A, B))
     return plant, tuple(Slope(*matrices) for matrices in zip(A, B, C, D, strict=True))
 
 

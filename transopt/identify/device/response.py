@@ -79,19 +79,20 @@ def flow(matrices: FloatArray) -> FloatArray:
     return np.concatenate([value, d_value], axis=-3)
 
 
-def _generator(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, instrument: Instrument) -> FloatArray:
+def _generator(
+    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, pole: bool, sensor_Hz: float | None
+) -> FloatArray:
     """(1 + p, N + 1, N + 1) generator of plant, current, accelerometer and acting command; ideal parts have no state.
 
     A, B, C, D : (1 + p, ...) of the plant and its derivatives, in which the generator is linear.
     """
     n = A.shape[1]
-    pole, sensed = instrument.amplifier is not None, instrument.accelerometer_Hz is not None
-    size = n + pole + sensed + 1
+    size = n + pole + (sensor_Hz is not None) + 1
     flow = np.zeros((len(A), size, size))
     current = n if pole else size - 1  # an ideal amplifier's current is the acting command itself
     flow[:, :n, :n], flow[:, :n, current] = A, B[:, :, 0]
-    if instrument.accelerometer_Hz is not None:
-        rate, row = 2 * np.pi * instrument.accelerometer_Hz, n + pole
+    if sensor_Hz is not None:
+        rate, row = 2 * np.pi * sensor_Hz, n + pole
         flow[:, row, :n], flow[:, row, current] = rate * C[:, 0], rate * D[:, 0, 0]
     return flow
 
@@ -115,7 +116,12 @@ class _Sampled:
 
 
 def _sampled(
-    plant: StateSpace, instrument: Instrument, slopes: tuple[Slope, ...], position: bool, moved: tuple[str, ...]
+    plant: StateSpace,
+    instrument: Instrument,
+    slopes: tuple[Slope, ...],
+    position: bool,
+    moved: tuple[str, ...],
+    ramped: bool = False,
 ) -> _Sampled:
     A, B, C, D = (np.array([getattr(part, name) for part in (plant, *slopes)]) for name in "ABCD")
     # A state acts if an entry of the plant or of a derivative is not zero: a zero entry may have a derivative.
@@ -123,11 +129,13 @@ def _sampled(
     keep = acting_states(entries, position=position)
     A, B, C, n = A[:, keep][:, :, keep], B[:, keep], C[:, :, keep], int(keep.sum())
     amplifier, sensor = instrument.amplifier, instrument.accelerometer_Hz
-    pole, sensed = amplifier is not None, sensor is not None
-    M, parts = _generator(A, B, C, D, instrument), len(A)
+    pole, sensed = ramped or amplifier is not None, sensor is not None
+    M, parts = _generator(A, B, C, D, pole, sensor), len(A)
     size = M.shape[1]
     M = np.concatenate([M, np.zeros((len(moved), size, size))])
-    if amplifier is not None:
+    if ramped:
+        M[0, n, -1] = 1 / instrument.dt_s
+    elif amplifier is not None:
         M[0, n, n], M[0, n, -1] = -amplifier.rate_rad_s, amplifier.rate_rad_s
     if sensor is not None:
         M[0, n + pole, n + pole] = -2 * np.pi * sensor
@@ -249,7 +257,12 @@ def responses(
 
 
 def courses(
-    plant: StateSpace, instrument: Instrument, command_A: FloatArray, slopes: tuple[Slope, ...] = ()
+    plant: StateSpace,
+    instrument: Instrument,
+    input_A: FloatArray,
+    slopes: tuple[Slope, ...] = (),
+    *,
+    ramped: bool = False,
 ) -> FloatArray:
     """Current, acceleration and position at the ticks under commands, from rest, and their derivatives.
 
@@ -257,24 +270,27 @@ def courses(
 
     Parameters
     ----------
-    command_A : (K,) issued at the ticks and held. slopes : p derivatives of the plant.
+    input_A : (K,) commands, issued at the ticks and held. slopes : p derivatives of the plant.
+    ramped : whether the input is instead the current at the ticks, linear between them, and no amplifier acts.
 
     Returns
     -------
     (1 + p, 3, K) [A, m/s^2, m].
     """
-    model = _sampled(plant, instrument, slopes, position=True, moved=())
-    whole = 0 if instrument.amplifier is None else split_delay(instrument.amplifier.delay_s, instrument.dt_s)[0]
-    felt = np.append(np.zeros(whole + 1), command_A)[: command_A.size + 1]
+    model = _sampled(plant, instrument, slopes, position=True, moved=(), ramped=ramped)
+    amplifier = instrument.amplifier
+    whole = 0 if amplifier is None or ramped else split_delay(amplifier.delay_s, instrument.dt_s)[0]
+    # A current that is linear between ticks integrates its differences, each held over the tick before.
+    command = np.append(np.diff(input_A, prepend=0.0), 0.0) if ramped else input_A
+    felt = np.concatenate([np.zeros(whole + 1), command])[: command.size + 1]
     felt = np.stack([felt[1:], felt[:-1]])  # acting commands of this tick and of the previous one
     phi, n = model.phi[0], model.phi.shape[1]
     driven, one = np.stack([model.now, model.before], axis=2), np.eye(n)
     states = LinearSystem(phi, driven[0], one, np.zeros((n, 2))).outputs(felt)
     found = model.rows @ states + model.direct[..., None] * felt[1]
     follow = LinearSystem(phi, one, model.rows[0], np.zeros((len(model.rows[0]), n)))
-    for j in range(1, len(found)):
-        found[j] += follow.outputs(model.phi[j] @ states + driven[j] @ felt)
-    return np.asarray(found)
+    found[1:] += follow.outputs(model.phi[1:] @ states + driven[1:] @ felt)
+    return np.asarray(found[..., 1:] if ramped else found)
 
 
 def current_response(instrument: Instrument, frequencies_Hz: FloatArray) -> ComplexArray:

@@ -11,7 +11,6 @@ that varies by 5 to 10 % from tap to tap. The intervals do not include this bias
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,20 +18,22 @@ from pydantic import ValidationError
 from scipy import signal
 
 from transopt.base.signals import FloatArray
-from transopt.identify.device.chain import HAND, Coordinates
-from transopt.identify.device.response import flow
+from transopt.identify.device.chain import HAND, Coordinates, log_slopes
+from transopt.identify.device.response import ACCELERATION, Instrument, Slope, courses
 from transopt.identify.fit import Fit, intervals_around, known, quantile
 from transopt.identify.hand.lines import LOUDER, MOST_UNEXPLAINED, HandFit
 from transopt.identify.hand.tap import LOWPASS_HZ, REACTION_S, HandTap
 from transopt.identify.measurement import Measurement
-from transopt.identify.squares import Squares, by_differences, inverse
+from transopt.identify.squares import Found, Squares, inverse
 from transopt.plant.hand import LinearInGrip
+from transopt.plant.state_space import StateSpace
 from transopt.scene.identified import known_to
 from transopt.scene.model_parts import FourthOrderHand, SecondOrderHand
 
 SHARED = ("stylus_mass_kg",)
 NAMES = (*SHARED, *(f"hand.{name}.{part}" for name in HAND for part in ("constant", "per_newton")))
-STARTS = 6
+STARTS, ENOUGH = 6, 3  # most starts tried; number of them that end in one optimum after which no more are tried
+SAME = 1.01  # sum of squares over the least one up to which a start counts as having found the same optimum
 DETERMINED = 0.25  # largest relative half width of the interval at the middle grip of a determined parameter
 MOST_UNKNOWN = 0.15  # largest relative half width of the interval of the response, rms over the band of a tap
 MOST_MISSED = 0.15  # largest relative error of the acceleration: one person's taps do not differ more
@@ -42,7 +43,7 @@ LOUD_HZ = 200.0  # if the force stands out of its noise beyond this, louder taps
 ENTANGLED = 0.95  # correlation above which two parameters are determined only together
 _FEW = 18  # taps that the starts are tried on
 _OVERSAMPLED = 5  # compared samples per period of the low-pass frequency
-_TOLERANCE, _TRIES = 1e-6, 30  # relative tolerance of a search; its largest number of evaluations
+_TOLERANCE, _TRIES = 1e-5, 30  # relative tolerance of a search; its largest number of evaluations
 _RELEASES = 20  # restarts of parameters that reached zero during the search
 _LEAST_KG, _LEAST_SHARE = 1e-3, 1e-6  # lower bounds of a mass, and of a spring or damper as a share of its guess
 _LEAST_GUESS = (0.01, 1.0, 10.0)  # least guess of mass [kg], damping [N s/m] and stiffness [N/m] of the whole hand
@@ -101,8 +102,7 @@ class FourthOrderFit(Fit):
         if self.entangled:
             # Each name is printed once: six parameters have up to fifteen entangled pairs.
             text += f"; only together: {', '.join(dict.fromkeys(name for pair in self.entangled for name in pair))}"
-        agreeing = sum(cost <= 1.01 * self.starts[0] for cost in self.starts)
-        text += f"; {agreeing} of {len(self.starts)} starts end in the same optimum"
+        text += f"; {_agreeing(self.starts)} of {len(self.starts)} starts end in the same optimum"
         if not self.is_better:
             return f"{text}; other taps are explained no better than by one mass on a spring and a damper"
         return "; ".join(
@@ -169,117 +169,42 @@ class FourthOrderFit(Fit):
         return FourthOrderHand.model_validate({**self.stated(), "verdict": "not judged", "sources": []})
 
 
-@dataclass(frozen=True)
-class _Session:
-    """T taps in one array, shorter ones padded with zeros of zero weight.
+class _Session(Squares):
+    """Residuals of all taps over the size of each tap's acceleration.
 
-    Attributes
-    ----------
-    force, acceleration : (T, n) samples of the taps, SI.
-    weight : (T, n) weights that make each tap's residuals relative to its acceleration.
-    dt_s : (T,) sampling periods.
-    window_s : (T,) lengths.
-    grips_N : (T,) grips.
-    coordinates : the unknowns: parameter values at the lowest and the highest grip.
+    The unknowns are the parameters at the lowest and the highest grip (`coordinates`), in units of `scale` (11,).
     """
 
-    force: FloatArray
-    acceleration: FloatArray
-    weight: FloatArray
-    dt_s: FloatArray
-    window_s: FloatArray
-    grips_N: FloatArray
-    coordinates: Coordinates
+    def __init__(self, taps: Sequence[HandTap], coordinates: Coordinates, scale: FloatArray) -> None:
+        super().__init__(self._all)
+        self.taps, self._to_taps = taps, [coordinates.at(tap.grip_N) * scale for tap in taps]
+        # Both sides are low-passed, so neighbouring samples are redundant.
+        self.every = max(1, int(1 / (max(tap.dt_s for tap in taps) * _OVERSAMPLED * LOWPASS_HZ)))
+        # Index of each tap's first residual.
+        self.first = np.cumsum([0, *(-(-tap.force_N.size // self.every) for tap in taps)])[:-1]
 
-    @classmethod
-    def of(cls, taps: Sequence[HandTap], coordinates: Coordinates) -> "_Session":
-        """The taps of a session."""
-        n = max(tap.force_N.size for tap in taps)
-        force, acceleration, weight = (np.zeros((len(taps), n)) for _ in range(3))
-        for j, tap in enumerate(taps):
-            size = tap.force_N.size
-            force[j, :size], acceleration[j, :size] = tap.force_N, tap.acceleration_m_s2
-            weight[j, :size] = 1 / np.linalg.norm(tap.acceleration_m_s2)
-        dt, grips = (np.array([getattr(tap, name) for tap in taps]) for name in ("dt_s", "grip_N"))
-        window = dt * [tap.force_N.size for tap in taps]
-        return cls(force, acceleration, weight, dt, window, grips, coordinates)
+    def residuals(self, tap: HandTap, plant: StateSpace, slopes: tuple[Slope, ...] = ()) -> FloatArray:
+        """(1 + p, n / every) residuals of a tap under its force, linear between samples, and their derivatives."""
+        found = courses(plant, Instrument(tap.dt_s), tap.force_N, slopes, ramped=True)[:, ACCELERATION]
+        found[0] -= tap.acceleration_m_s2
+        return np.asarray(found[:, :: self.every] / np.linalg.norm(tap.acceleration_m_s2))
 
-    @cached_property
-    def at_taps(self) -> FloatArray:
-        """(T, 6, 11) matrices from the values at the end grips to the parameters of each tap."""
-        return np.array([self.coordinates.at(grip) for grip in self.grips_N.tolist()])
+    def _all(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        parts = []
+        for tap, at in zip(self.taps, self._to_taps, strict=True):
+            values = at @ unknowns
+            found = self.residuals(tap, *log_slopes(values, 1.0, SHARED))
+            parts.append(np.vstack([found[:1], (at / values[:, None]).T @ found[1:]]))
+        whole = np.concatenate(parts, axis=1)
+        return whole[0], whole[1:].T
 
-    @cached_property
-    def every(self) -> int:
-        """Step between compared samples: both sides are low-passed, so neighbouring samples are redundant."""
-        return max(1, int(1 / (float(self.dt_s.max()) * _OVERSAMPLED * LOWPASS_HZ)))
-
-    def residuals(self, theta: FloatArray) -> FloatArray:
-        """(P, T, n / every) weighted residuals for values at the end grips (P, 11)."""
-        P, T = len(theta), self.grips_N.size
-        stylus, *hand = np.einsum("tqe,pe->qpt", self.at_taps, theta).reshape(1 + len(HAND), -1)
-        simulated = _simulate(
-            stylus,
-            np.array(hand),
-            np.tile(self.dt_s, P),
-            np.tile(self.force, (P, 1)),
-        )
-        return ((simulated.reshape(P, T, -1) - self.acceleration) * self.weight)[..., :: self.every]
-
-    def second_order(self, hand: HandFit) -> FloatArray:
-        """(T, n / every) weighted residuals of the second-order hand; infinite (1, 1) if that is not passive."""
+    def second_order(self, hand: HandFit) -> float:
+        """Sum of squares of the second-order hand; infinite if that is not passive."""
         try:
             part = SecondOrderHand.model_validate({**hand.stated(), "verdict": "not judged", "sources": []})
         except ValidationError:
-            return np.full((1, 1), np.inf)
-        times = np.arange(self.force.shape[1])
-        plants = [part.plant(grip) for grip in self.grips_N.tolist()]
-        simulated = [
-            signal.lsim((plant.A, plant.B, plant.C, plant.D), force, dt * times)[1]
-            for plant, force, dt in zip(plants, self.force, self.dt_s, strict=True)
-        ]
-        return ((np.array(simulated) - self.acceleration) * self.weight)[..., :: self.every]
-
-    def squares(self, scale: FloatArray) -> Squares:
-        """The sum of squares as a function of the parameters in units of `scale` (11,)."""
-        return Squares(by_differences(lambda sets: self.residuals(sets * scale).reshape(len(sets), -1)))
-
-
-def _simulate(stylus: FloatArray, hand: FloatArray, dt_s: FloatArray, force: FloatArray) -> FloatArray:
-    """(L, n) stylus acceleration of L chains from rest, exact for forces (L, n) that are linear between samples.
-
-    Parameters
-    ----------
-    stylus : (L,) masses.
-    hand : (5, L) parameters in the order of `HAND`.
-    dt_s : (L,) sampling periods.
-    """
-    mass, skin_k, skin_b, arm_k, arm_b = hand
-    L, n = force.shape
-    # States: deviations of stylus and hand mass, their velocities, then the force and its slope. With the step as
-    # unit of time all entries are small, although stiffness over mass is large.
-    step = dt_s[:, None]
-    matrices = np.zeros((L, 6, 6))
-    matrices[:, 0, 2] = matrices[:, 1, 3] = matrices[:, 4, 5] = 1.0
-    stylus_row = np.stack([-skin_k, skin_k, -skin_b / dt_s, skin_b / dt_s, np.ones(L)], axis=1) / stylus[:, None]
-    hand_row = np.stack([skin_k, -skin_k - arm_k, skin_b / dt_s, (-skin_b - arm_b) / dt_s], axis=1) / mass[:, None]
-    matrices[:, 2, :5], matrices[:, 3, :4] = step**2 * stylus_row, step**2 * hand_row
-    hold = flow(matrices[:, None])[:, 0]
-    transition, to_force, to_slope = hold[:, :4, :4], hold[:, :4, 4], hold[:, :4, 5]
-    # Rows C A^k by doubling, and from them the response to a hat function (linear interpolation of one sample).
-    rows = stylus_row[:, None, :4]
-    power = transition
-    while rows.shape[1] < n:
-        rows = np.concatenate([rows, rows @ power], axis=1)
-        power = power @ power
-    rows = rows[:, :n]
-    after = (rows @ to_slope[:, :, None])[..., 0]
-    response = after.copy()
-    response[:, 0] += stylus_row[:, 4]
-    response[:, 1:] += (rows[:, :-1] @ (to_force - to_slope)[:, :, None])[..., 0]
-    found = signal.fftconvolve(response, force, axes=1)[:, :n]
-    # The state starts at rest even if the first force is not zero.
-    return np.asarray(found - after * force[:, :1])
+            return np.inf
+        return sum(float(np.sum(self.residuals(tap, part.plant(tap.grip_N)) ** 2)) for tap in self.taps)
 
 
 def fit_fourth_order(taps: Sequence[HandTap], hand: HandFit, *, starts: int = STARTS) -> FourthOrderFit:
@@ -289,15 +214,13 @@ def fit_fourth_order(taps: Sequence[HandTap], hand: HandFit, *, starts: int = ST
     ----------
     taps : all taps of the session.
     hand : the second-order fit of the same taps; the starts are drawn around it, log-uniform within a factor of 3.
-    starts : number of starts tried on a few taps; the best is continued with all taps.
+    starts : most starts tried on a few taps; the best is continued with all taps.
     """
     taps = [_below(tap, hand.heard_Hz) for tap in taps]
     ends = (float(hand.grips_N.min()), float(hand.grips_N.max()))
     coordinates = Coordinates(ends, SHARED)
-    session = _Session.of(taps, coordinates)
     order = np.argsort(hand.grips_N)
     few = order[np.unique(np.linspace(0, order.size - 1, _FEW).round().astype(int))]
-    part = _Session.of([taps[j] for j in few], coordinates)
     guess = _guess(hand, ends)
     random = np.random.default_rng(0)
     factors = np.vstack([np.ones(guess.size), 3.0 ** random.uniform(-1, 1, (starts - 1, guess.size))])
@@ -305,12 +228,20 @@ def fit_fourth_order(taps: Sequence[HandTap], hand: HandFit, *, starts: int = ST
     least = _LEAST_SHARE * guess
     least[[0, 1, 1 + len(HAND)]] = _LEAST_KG  # the stylus, and the hand's mass at both ends
     bounds = least / guess, np.full(guess.size, np.inf)
-    tried = part.squares(guess).searches(factors, *bounds, most=_TRIES, tolerance=_TOLERANCE, releases=_RELEASES)
-    squares = session.squares(guess)
-    best, _ = squares.search(tried[0][0], *bounds, most=_TRIES, tolerance=_TOLERANCE, releases=_RELEASES)
-    return _with_uncertainty(
-        session, squares.evaluate(best), best * guess, guess, hand, tuple(cost for _, cost in tried)
-    )
+    part, session = (_Session(some, coordinates, guess) for some in ([taps[j] for j in few], taps))
+    tried = list[Found]()
+    for factor in factors:
+        tried.append(part.search(factor, *bounds, most=_TRIES, tolerance=_TOLERANCE, releases=_RELEASES))
+        tried.sort(key=lambda one: one[1])
+        if _agreeing([cost for _, cost in tried]) == ENOUGH:
+            break
+    best, _ = session.search(tried[0][0], *bounds, most=_TRIES, tolerance=_TOLERANCE, releases=_RELEASES)
+    return _with_uncertainty(session, coordinates, best, guess, hand, tuple(cost for _, cost in tried))
+
+
+def _agreeing(costs: Sequence[float]) -> int:
+    """Number of starts that end in the best optimum, by the sums of squares that they reach, the least first."""
+    return sum(cost <= SAME * costs[0] for cost in costs)
 
 
 def _below(tap: HandTap, cutoff_Hz: float) -> HandTap:
@@ -337,53 +268,43 @@ def _guess(hand: HandFit, ends: tuple[float, float]) -> FloatArray:
 
 def _with_uncertainty(
     session: _Session,
-    at: tuple[FloatArray, FloatArray],
-    theta: FloatArray,
+    coordinates: Coordinates,
+    unknowns: FloatArray,
     scale: FloatArray,
     hand: HandFit,
     costs: tuple[float, ...],
 ) -> FourthOrderFit:
-    """The fit at an optimum theta (11,), with covariance, intervals and undetermined parameters.
-
-    Parameters
-    ----------
-    at : residuals at the optimum and their Jacobian with respect to theta in units of `scale`.
-    """
-    T, p = session.grips_N.size, theta.size
-    residuals, J = at[0].reshape(T, -1), at[1]
+    """The fit at the optimum (11,), in units of `scale`, with covariance, intervals and undetermined parameters."""
+    T, p, (residuals, J) = len(session.taps), unknowns.size, session.evaluate(unknowns)
     # One score per tap: the residuals of a tap are correlated, since its hand differs from that of other taps.
-    scores = np.einsum("tnp,tn->tp", J.reshape(T, -1, p), residuals)
+    scores = np.add.reduceat(J * residuals[:, None], session.first)
     bread, meat = inverse(J), scores.T @ scores
     covariance = np.outer(scale, scale) * (bread @ meat @ bread) * T / (T - p)
-    ends_N = session.coordinates.held_N
-    (_, to_lines), to_middle = session.coordinates.lines(), session.coordinates.at(float(np.mean(ends_N)))
-    found = to_lines @ theta
-    of_lines = to_lines @ covariance @ to_lines.T
-    middle, of_middle = to_middle @ theta, to_middle @ covariance @ to_middle.T
-    deviation = np.sqrt(np.diagonal(of_middle))
-    names = (*SHARED, *(f"hand.{name}" for name in HAND))
-    with np.errstate(divide="ignore", invalid="ignore"):  # a parameter that ended at zero counts as not determined
-        uncertain = np.where(middle > 0, quantile(T - p) * deviation / middle, np.inf)
-        correlation = np.nan_to_num(of_middle / np.outer(deviation, deviation))
+    to_lines, to_middle = coordinates.lines()[1], coordinates.at(float(np.mean(coordinates.held_N)))
+    found, of_lines = to_lines @ (scale * unknowns), to_lines @ covariance @ to_lines.T
+    middle, of_middle = to_middle @ (scale * unknowns), to_middle @ covariance @ to_middle.T
+    deviation, names = np.sqrt(np.diagonal(of_middle)), (*SHARED, *(f"hand.{name}" for name in HAND))
+    correlation = of_middle / np.outer(deviation, deviation)
     entangled = [
         (names[i], names[j]) for i in range(6) for j in range(i + 1, 6) if abs(correlation[i, j]) > ENTANGLED
     ]
+    per_tap = np.sqrt(session.every * np.add.reduceat(residuals**2, session.first))
     return FourthOrderFit(
         stylus_mass_kg=float(found[0]),
-        lines={name: LinearInGrip(*found[1 + 2 * j : 3 + 2 * j].tolist()) for j, name in enumerate(HAND)},
+        lines={name: LinearInGrip(*line) for name, line in zip(HAND, found[1:].reshape(-1, 2).tolist(), strict=True)},
         grips_N=tuple(hand.recorded_N),
         taps=T,
-        rate_Hz=float(1 / session.dt_s.max()),
-        window_s=float(session.window_s.min()),
+        rate_Hz=1 / max(tap.dt_s for tap in session.taps),
+        window_s=min(tap.dt_s * tap.force_N.size for tap in session.taps),
         heard_Hz=hand.heard_Hz,
         intervals=intervals_around(found, of_lines, T - p),
         covariance=of_lines,
-        uncertain=dict(zip(names, uncertain.tolist(), strict=True)),
+        uncertain=dict(zip(names, (quantile(T - p) * deviation / middle).tolist(), strict=True)),
         entangled=tuple(entangled),
-        unexplained=float(np.median(np.linalg.norm(residuals, axis=1) * np.sqrt(session.every))),
+        unexplained=float(np.median(per_tap)),
         # Takeuchi's criterion: the error expected for other taps exceeds that of the fitted ones by 2 tr(bread meat).
-        expected=session.every * float(np.sum(residuals**2) + 2 * np.sum(bread * meat)),
-        second=session.every * float(np.sum(session.second_order(hand) ** 2)),
+        expected=float(np.sum(per_tap**2)) + 2 * session.every * float(np.sum(bread * meat)),
+        second=session.every * session.second_order(hand),
         starts=costs,
     )
 
