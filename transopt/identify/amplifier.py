@@ -10,13 +10,7 @@ from scipy import optimize
 
 from transopt.base.errors import InputError
 from transopt.base.signals import ComplexArray, FloatArray
-from transopt.identify.amplifier_response import (
-    Shape,
-    continuous,
-    less_dead_band,
-    sampled,
-    simulate_current,
-)
+from transopt.identify.amplifier_response import less_dead_band, sampled, simulate_current
 from transopt.identify.checks import (
     check_bins,
     check_cycles,
@@ -84,8 +78,6 @@ class AmplifierFit(Fit):
     gain : current over command; 1 where both share a scale.
     covariance : (3, 3), in the order of `PARAMETERS`, SI.
     intervals : parameter -> its 95 % interval.
-    continuous_pole_Hz, continuous_delay_s : the fit of a continuous pole and delay that ignores the hold; its delay
-        includes the half sample of the hold.
     crossover : dead band around zero.
     estimate : response from the command less the dead band to the current; the fit was made to it.
     misfit_dB, misfit_deg : largest error of the fit over the coherent band: means over a third of an octave less
@@ -100,8 +92,6 @@ class AmplifierFit(Fit):
     gain: float
     covariance: FloatArray
     intervals: Mapping[str, tuple[float, float]]
-    continuous_pole_Hz: float
-    continuous_delay_s: float
     crossover: Crossover
     estimate: TransferEstimate
     misfit_dB: float
@@ -157,9 +147,7 @@ class AmplifierFit(Fit):
         return {**stated, **{name: getattr(self, name) for name in values}}
 
 
-def fit_pole(
-    groups: Sequence[Condensed], shape: Shape = sampled, start: tuple[float, float] | None = None
-) -> Maximum:
+def fit_pole(groups: Sequence[Condensed], start: tuple[float, float] | None = None) -> Maximum:
     """Maximum likelihood of pole, delay and gain; the unknowns are log(pole [Hz]), delay [ticks] and gain.
 
     Parameters
@@ -172,7 +160,7 @@ def fit_pole(
 
     def model(theta: FloatArray, _: int, frequencies_Hz: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         log_pole, ticks, gain = theta.tolist()
-        value, slopes = shape(frequencies_Hz, float(np.exp(log_pole)), ticks * dt_s, dt_s)
+        value, slopes = sampled(frequencies_Hz, float(np.exp(log_pole)), ticks * dt_s, dt_s)
         return gain * value[None], np.array([gain * slopes[0], gain * dt_s * slopes[1], value])[:, None]
 
     likelihood, coarse = (Likelihood(groups, model, loose=ROUNDED, step=step) for step in (1, COARSE))
@@ -207,15 +195,15 @@ class _Fit:
     covariance: FloatArray
 
 
-def _fit(trials: Sequence[Trial], shape: Shape = sampled, most_Hz: float = np.inf) -> _Fit:
-    """The fit to the coherent bins up to `most_Hz`."""
+def _fit(trials: Sequence[Trial]) -> _Fit:
+    """The fit to the coherent bins."""
     data = condense_trials(trials).moved()
     estimate = transfer(data)
-    good = (estimate.coherence >= COHERENT) & (estimate.frequencies_Hz <= most_Hz)
+    good = estimate.coherence >= COHERENT
     if np.count_nonzero(good) < LEAST_BINS:
         raise InputError(f"from command to current {_share(good)}; sweep with more current")
     data = replace(data, known=good[None])
-    found = fit_pole([data], shape)
+    found = fit_pole([data])
     pole = float(np.exp(found.unknowns[0]))
     scale = np.array([pole, data.dt_s, 1.0])
     values = np.array([pole, found.unknowns[1] * data.dt_s, found.unknowns[2]])
@@ -255,7 +243,6 @@ def fit_amplifier(trials: Sequence[Trial]) -> AmplifierFit:
         moved = _fit([_at_rest(trial, wider_A, pole, delay) for trial in trials]).values - fit.values
         covariance = covariance + np.outer(moved, moved)
     pole, delay, gain = fit.values.tolist()
-    naive = _fit(trials, continuous, 0.4 / dt_s)
     misfit = _misfit(fit.estimate, gain * sampled(fit.estimate.frequencies_Hz, pole, delay, dt_s)[0])
     spans = np.maximum(intervals_around(fit.values, covariance), [0.0, -np.inf]).tolist()
     return AmplifierFit(
@@ -264,8 +251,6 @@ def fit_amplifier(trials: Sequence[Trial]) -> AmplifierFit:
         gain=gain,
         covariance=covariance,
         intervals={name: (low, high) for name, (low, high) in zip(PARAMETERS, spans, strict=True)},
-        continuous_pole_Hz=float(naive.values[0]),
-        continuous_delay_s=float(naive.values[1]),
         crossover=crossover,
         estimate=fit.estimate,
         misfit_dB=misfit[0],

@@ -1,7 +1,5 @@
 """The amplifier's response to a held command: one pole and a pure delay, sampled once a tick."""
 
-from collections.abc import Callable
-
 import numpy as np
 from scipy import special
 
@@ -9,18 +7,18 @@ from transopt.base.recursions import filtered
 from transopt.base.signals import ComplexArray, FloatArray
 from transopt.plant.discretise import split_delay
 
-Shape = Callable[[FloatArray, float, float, float], tuple[ComplexArray, ComplexArray]]
-"""Frequencies (m,), pole [Hz], delay [s], period [s] -> response of gain one (m,), and its derivatives (2, m) by the
-logarithm of the pole and by the delay."""
-
 
 def sampled(
     frequencies_Hz: FloatArray, pole_Hz: float, delay_s: float, dt_s: float
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Exact response from commands issued at t_k and held to the current sampled at t_k, before c_k acts: a `Shape`.
+    """Exact response from commands issued at t_k and held to the current sampled at t_k, before c_k acts.
 
     Modified z-transform (Jury 1964): with m whole ticks in the delay, e the rest, p = exp(-w dt),
     q = exp(-w (dt - e)),  G(z) = z^-(m+1) ((1 - q) + (q - p) z^-1) / (1 - p z^-1).
+
+    Returns
+    -------
+    (m,) response of gain one, and (2, m) its derivatives by the logarithm of the pole and by the delay.
     """
     whole, now, before, keep = _difference_equation(pole_Hz, delay_s, dt_s)
     late = np.exp(-2j * np.pi * frequencies_Hz * dt_s)
@@ -42,16 +40,6 @@ def _difference_equation(pole_Hz: float, delay_s: float, dt_s: float) -> tuple[i
     q = float(np.exp(-w * (dt_s - rest)))
     keep = float(np.exp(-w * dt_s))
     return whole, 1 - q, q - keep, keep
-
-
-def continuous(
-    frequencies_Hz: FloatArray, pole_Hz: float, delay_s: float, _: float
-) -> tuple[ComplexArray, ComplexArray]:
-    """Response of one pole and a delay in continuous time, without hold or sampling: a `Shape`."""
-    s = np.asarray(2j * np.pi * frequencies_Hz, dtype=np.complex128)
-    turn = s / (2 * np.pi * pole_Hz)
-    value = np.exp(-s * delay_s) / (1 + turn)
-    return value, np.array([value * turn / (1 + turn), -s * value])
 
 
 def simulate_current(command_A: FloatArray, pole_Hz: float, delay_s: float, dt_s: float) -> FloatArray:

@@ -116,12 +116,9 @@ class Squares:
         high: FloatArray,
         *,
         most: int = 200,
-        tolerance: float = TOLERANCE,
-        releases: int = 0,
     ) -> list[Found]:
         """Results of searches from several starts, the least sum first."""
-        found = [self.search(start, low, high, most=most, tolerance=tolerance, releases=releases) for start in starts]
-        return sorted(found, key=lambda one: one[1])
+        return sorted((self.search(start, low, high, most=most) for start in starts), key=lambda one: one[1])
 
 
 def by_differences(

@@ -149,7 +149,7 @@ def trial_table(fit: "AmplifierFit", trials: Sequence["Trial"]) -> Table:
 
 
 def amplifier_table(fit: "AmplifierFit") -> Table:
-    """Values with their 95 % intervals; below them the values of a continuous-time fit to the same response."""
+    """Values with their 95 % intervals."""
     late = (fit.delay_s, fit.intervals["delay_s"], 1e6)
     rows = [
         ("pole", fit.pole_Hz, fit.intervals["pole_Hz"], 1.0, 0.0, "Hz", ".1f"),
@@ -165,11 +165,7 @@ def amplifier_table(fit: "AmplifierFit") -> Table:
         [name, *(format(factor * number + more, form) for number in (value, *interval)), unit]
         for name, value, interval, factor, more, unit, form in rows
     ]
-    table = value_table("amplifier", cells)
-    table.add_section()
-    continuous = f"{fit.continuous_pole_Hz:.0f} Hz and {1e6 * fit.continuous_delay_s:.1f} us"
-    table.add_row("without hold and sampling in the model", continuous, "", "")
-    return table
+    return value_table("amplifier", cells)
 
 
 def crossover_line(fit: "AmplifierFit") -> str:

@@ -18,7 +18,7 @@ from transopt.base.errors import InputError
 from transopt.base.signals import Signal
 from transopt.cli.main import app
 from transopt.identify.amplifier import AmplifierFit, check_alike, estimate_crossover, fit_amplifier
-from transopt.identify.amplifier_response import Shape, continuous, sampled, simulate_current
+from transopt.identify.amplifier_response import sampled, simulate_current
 from transopt.identify.spectrum import Trial, estimate_transfer
 from transopt.report.fits import amplifier_figure, prefilter_response
 from transopt.scene.model_file import load_model
@@ -56,14 +56,13 @@ def test_the_sampled_response_is_that_of_the_simulated_current(delay_s: float) -
     np.testing.assert_allclose(sampled(lines, POLE_HZ, delay_s, DT_S)[0], answer, atol=1e-12)
 
 
-@pytest.mark.parametrize("shape", [sampled, continuous])
 @pytest.mark.parametrize("delay_s", [3e-6, 68e-6, 231e-6])
-def test_the_slopes_are_those_of_the_response(shape: Shape, delay_s: float) -> None:
+def test_the_slopes_are_those_of_the_response(delay_s: float) -> None:
     f, step = np.geomspace(10, 4500, 40), 1e-6
-    _, (by_pole, by_delay) = shape(f, POLE_HZ, delay_s, DT_S)
-    up, down = (shape(f, POLE_HZ * np.exp(move), delay_s, DT_S)[0] for move in (step, -step))
+    _, (by_pole, by_delay) = sampled(f, POLE_HZ, delay_s, DT_S)
+    up, down = (sampled(f, POLE_HZ * np.exp(move), delay_s, DT_S)[0] for move in (step, -step))
     np.testing.assert_allclose(by_pole, (up - down) / (2 * step), atol=1e-8)
-    up, down = (shape(f, POLE_HZ, delay_s + move * DT_S, DT_S)[0] for move in (step, -step))
+    up, down = (sampled(f, POLE_HZ, delay_s + move * DT_S, DT_S)[0] for move in (step, -step))
     np.testing.assert_allclose(by_delay * DT_S, (up - down) / (2 * step), atol=1e-8)
 
 
@@ -174,12 +173,6 @@ def test_a_crossover_is_neither_invented_nor_missed(crossover_A: float) -> None:
     found = estimate_crossover(trials, POLE_HZ, DELAY_S)
     assert found.shows == (crossover_A > 0)
     assert abs(found.half_width_A - crossover_A) < 4 * found.deviation_A
-
-
-def test_what_a_continuous_fit_would_say() -> None:
-    fit = fit_amplifier([amplifier_trial(1, crossover_A=0.0)])
-    assert fit.continuous_delay_s == pytest.approx(fit.delay_with_hold_s, abs=6e-6)
-    assert fit.continuous_pole_Hz < 0.95 * POLE_HZ  # the hold is taken for a slower pole
 
 
 def test_an_amplifier_that_is_no_single_pole_is_told() -> None:
