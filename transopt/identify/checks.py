@@ -32,7 +32,7 @@ REST_SAMPLES, END_NOISES = 20, 5.0  # number of first samples; largest end of a 
 GRAVITY_TOLERANCE = 0.25  # relative error of a nominal model's gain; no other cause changes a gain tenfold
 AGAINST = 0.5  # polarity is wrong if the reversed record has less than this share of the misfit of a passive device
 PASSIVE_BAND_HZ = (2.0, 150.0)  # where motor and stylus of such a device move as one
-UNITS = {"command": "A", "current": "A", "voltage": "V", "acceleration": "m/s^2"}  # of the signals that are checked
+UNITS = {"command": "A", "current": "A", "voltage": "V", "acceleration": "m/s^2", "force": "N"}  # of checked signals
 LEAST_STRETCH = 3  # bins in a stretch of low coherence that is reported
 GRIP_STEP_N = 0.25  # trials whose grips are closer than this count as one grip
 

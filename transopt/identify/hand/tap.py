@@ -21,7 +21,9 @@ import numpy as np
 from scipy import integrate, optimize, signal, stats
 
 from transopt.base.errors import InputError
-from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
+from transopt.base.signals import FloatArray
+from transopt.identify.checks import UNITS, check_unit, flat_extreme
+from transopt.identify.findings import JITTER_LIMIT
 from transopt.identify.measurement import Measurement
 
 REACTION_S = 30e-3  # the hand's intention goes straight on for this long
@@ -35,11 +37,8 @@ _LEAST_HEARD_HZ, _HEARD_BANDS = 50.0, 20  # lowest and number of the bands, a th
 _HEARD = 100.0  # least power over that of the noise in a band
 _FEWEST = 4  # least samples that an offset is estimated from
 _IN_PULSE = 0.1  # share of the peak: a record that begins higher begins within the pulse
-_STUCK = 4  # samples at one extreme value that count as clipped
-_JITTER = 0.2  # largest rms deviation of the time stamps from the uniform grid, in steps
 _CALIBRATION = 0.2  # largest relative difference of displacements by encoder and by accelerometer
 MOST_LEFT_OUT = 0.2  # largest share of trials left out
-_NEAR_G = 1.3  # a ratio within this factor of 9.81 is taken for 9.81
 
 
 @dataclass(frozen=True)
@@ -267,16 +266,16 @@ def usable_taps(trials: Sequence[Measurement], window_s: float = REACTION_S) -> 
 
 def _check_recording(trial: Measurement) -> None:
     """Refuse a trial with jittered time stamps or a sensor at its end stop."""
-    if trial.off_grid > _JITTER:
+    if trial.off_grid > JITTER_LIMIT:
         found = f"time stamps lie {trial.off_grid:.2g} steps (rms) off a uniform grid"
-        raise InputError(f"{found}: at most {_JITTER:g}; sample by a timer and record again")
-    for quantity, unit in (("force", "N"), ("acceleration", "m/s^2")):
+        raise InputError(f"{found}: at most {JITTER_LIMIT:g}; sample by a timer and record again")
+    for quantity in ("force", "acceleration"):
         values = trial.require(quantity).values
-        for extreme in (values.max(), values.min()):
-            stuck = int(np.count_nonzero(values == extreme))
+        away = values - np.median(values)
+        for stuck in (flat_extreme(away), flat_extreme(-away)):
             # A quiet sensor may repeat its resting value; an end stop lies far from it.
-            if stuck >= _STUCK and abs(extreme - np.median(values)) > 0.5 * np.ptp(values):
-                at = f"{quantity} stays at {extreme:.4g} {unit} for {stuck} samples"
+            if stuck.size and abs(away[stuck[0]]) > 0.5 * np.ptp(values):
+                at = f"{quantity} stays at {values[stuck[0]]:.4g} {UNITS[quantity]} for {stuck.size} samples"
                 raise InputError(f"{at}: clipped; tap more slowly or use a sensor of larger range, and record again")
 
 
@@ -292,12 +291,8 @@ def _check_signs_and_units(trial: Measurement, tap: HandTap) -> None:
         raise InputError(f"wrong polarity: at impact force and acceleration differ in sign; turn that of {which}")
     if ratio is None or abs(ratio - 1) <= _CALIBRATION:
         return
-    for factor, remedy in (
-        (STANDARD_GRAVITY_M_S2, "it is in g: name the column acceleration_g"),
-        (1 / STANDARD_GRAVITY_M_S2, "it was multiplied by 9.81 twice"),
-    ):
-        if 1 / _NEAR_G < ratio / factor < _NEAR_G:
-            raise InputError(f"acceleration is {1 / ratio:.3g} times what the position says: {remedy}")
+    for finding in check_unit(trial.name, 1 / ratio, "the position"):
+        raise InputError(finding.text)
     raise InputError(
         f"acceleration is {1 / ratio:.3g} times what the position says: must agree within {100 * _CALIBRATION:g} %; "
         "calibrate both and record again"
