@@ -5,7 +5,7 @@ Each kind of plant names its further outputs, on which limits may be stated: pos
 or the current of a voltage-driven coil. States are available by number.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from types import MappingProxyType
 from typing import Any, Final, Literal
@@ -213,3 +213,18 @@ def blended(one: StateSpace, other: StateSpace, share: float) -> StateSpace:
         D=(1 - share) * one.D + share * other.D,
         driven_by=one.driven_by,
     )
+
+
+def blended_at(grips_N: Sequence[float], plants: Sequence[StateSpace], grip_N: float) -> StateSpace:
+    """The plant at a grip from those at increasing grips: blended linearly, constant outside them.
+
+    The free device, at grip 0, is blended with none. Where at least two held grips are given, every held plant has
+    the order of two, also at a given grip, so that all have the same order.
+    """
+    first = 1 if grips_N[0] == 0 else 0
+    held = grips_N[first:]
+    if grip_N == 0 or len(held) == 1:
+        return plants[0 if grip_N == 0 else first]
+    grip = min(max(grip_N, held[0]), held[-1])
+    j = min(int(np.searchsorted(held, grip, side="right")) - 1, len(held) - 2)
+    return blended(plants[first + j], plants[first + j + 1], (grip - held[j]) / (held[j + 1] - held[j]))

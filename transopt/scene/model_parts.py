@@ -18,7 +18,7 @@ from transopt.plant.drive import drive
 from transopt.plant.fourth_order import fourth_order
 from transopt.plant.hand import Hand, LinearParameter
 from transopt.plant.second_order import second_order
-from transopt.plant.state_space import StateSpace, blended
+from transopt.plant.state_space import StateSpace, blended_at
 from transopt.scene.fitted import FittedPart, ModelPart
 from transopt.scene.model_error import ModelError, Predicted
 
@@ -240,16 +240,7 @@ class StateSpaceDevice(RecordedDevice):
         InputError : a grip that was not recorded.
         """
         check_grip(self.grips_N, grip_N)
-        first = 1 if self.grips_N[0] == 0 else 0
-        held = self.grips_N[first:]
-        if grip_N == 0:
-            return self.node(0)
-        if len(held) == 1:
-            return self.node(first)
-        grip = min(max(grip_N, held[0]), held[-1])
-        j = min(int(np.searchsorted(held, grip, side="right")) - 1, len(held) - 2)
-        share = (grip - held[j]) / (held[j + 1] - held[j])
-        return blended(self.node(first + j), self.node(first + j + 1), share)
+        return blended_at(self.grips_N, [self.node(j) for j in range(len(self.grips_N))], grip_N)
 
 
 class _HeldHand(FittedPart):

@@ -12,11 +12,12 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.signals import ComplexArray, FloatArray
+from transopt.identify.checks import within
 from transopt.identify.device.chain import GripResponse
 from transopt.identify.device.response import Instrument, Slope, sampled_response
 from transopt.identify.response_fit import at_rest, least_width, vector_fit
 from transopt.identify.squares import Squares
-from transopt.plant.state_space import StateSpace, blended
+from transopt.plant.state_space import StateSpace, blended_at
 
 ORDERS = (2, 4, 6, 8, 10)  # tried in turn if the user states none, as long as the criterion falls
 HIGHEST_ORDER = 20
@@ -62,15 +63,11 @@ class BlackBox:
         ------
         InputError : the grip lies outside the recorded ones.
         """
-        held = [j for j, grip in enumerate(self.grips_N) if (grip > 0) == (grip_N > 0)]
-        grips = [self.grips_N[j] for j in held]
-        if not grips or not grips[0] <= grip_N <= grips[-1]:
-            raise InputError(f"grip {grip_N:g} N: outside the recorded grips {grips} N; record it")
-        after = next(j for j, grip in enumerate(grips) if grip >= grip_N)
-        if grips[after] == grip_N:
-            return self.plants[held[after]]
-        part = (grip_N - grips[after - 1]) / (grips[after] - grips[after - 1])
-        return blended(self.plants[held[after - 1]], self.plants[held[after]], part)
+        if grip_N in self.grips_N:
+            return self.plants[self.grips_N.index(grip_N)]
+        if not within(grip_N, self.grips_N):
+            raise InputError(f"grip {grip_N:g} N: outside the recorded grips {list(self.grips_N)} N; record it")
+        return blended_at(self.grips_N, self.plants, grip_N)
 
     def variance(self, one: GripResponse) -> FloatArray:
         """(m,) variance E|.|^2 of the fitted response, which 2 x order unknowns are taken to spread over all bins."""
