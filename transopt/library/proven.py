@@ -53,7 +53,7 @@ MOST_ITERATIONS = 60  # iterations of the interior point that bounds an entry wi
 
 
 def load_proven(path: str | Path) -> Library:
-    """Read a library file and prove it before any of it is used; takes about two milliseconds per entry.
+    """Read a library file and prove it before any of it is used; takes less than a millisecond per entry.
 
     Raises
     ------
