@@ -292,10 +292,10 @@ class _Attempt:
         return Designed(self.problem, answer, proof, effect, *numbers, left_out, solved, list(remarks))
 
 
-def _without_limits(problems: Sequence[TransientProblem]) -> list[_Attempt]:
+def _without_limits(problems: Sequence[TransientProblem], options: SolverOptions) -> list[_Attempt]:
     """The optima without limits, certified where they keep all limits."""
     reduced = leave_out_all(problems)
-    free = unlimited.solve([each.problem for each in reduced])
+    free = unlimited.solve([each.problem for each in reduced], brief=options.brief)
     done = effects([(problem, answer.command) for problem, answer in zip(problems, free, strict=True)])
     peaks = [float(np.abs(effect.motion.plant_input).max()) for effect in done]
     errors = tap_errors(problems, [effect.motion.acceleration_m_s2 for effect in done])
@@ -309,7 +309,7 @@ def _without_limits(problems: Sequence[TransientProblem]) -> list[_Attempt]:
         floor = errors[i] if answer.status is Status.OPTIMAL else np.nan
         if proof is not None and not proof.excess <= KEPT:
             proof = None
-        if proof is not None and not proof.is_stationary:
+        if proof is not None and not proof.is_stationary and not options.brief:
             # The compiled pass may lose digits in ill-conditioned problems; the other method may leave a smaller gap.
             other = unlimited.solve_apart(each.problem)
             its_effect = Effect(problem, other.command)
@@ -322,7 +322,7 @@ def _without_limits(problems: Sequence[TransientProblem]) -> list[_Attempt]:
 
 def at_their_instants(problems: Sequence[TransientProblem], options: SolverOptions) -> list[Designed]:
     """Solve problems side by side, with the wall's ticks and the instants of all limits fixed."""
-    attempts, found = _without_limits(problems), dict[int, Designed]()
+    attempts, found = _without_limits(problems, options), dict[int, Designed]()
     limited = list[int]()
     for i, each in enumerate(attempts):
         if each.inside:

@@ -23,24 +23,34 @@ MOST_S, MOST_PER_STAGE_S = 1.0, 1e-3  # processor time of the sparse system, whi
 GAP = 1e-8  # gap relative to max(J, 1e-3): a hundredth of a certificate's tolerance, a hundred times the rounding
 
 
-def solve(problems: Sequence[TransientProblem]) -> list[Solution]:
+def solve(problems: Sequence[TransientProblem], *, brief: bool = False) -> list[Solution]:
     """Minimise J of each problem subject to dynamics and hand-over only.
 
     `Solution.command` is not clipped: it shows what the limits would have to allow. The compiled pass solves all
     problems side by side. Where it is not available, or leaves a gap above `GAP` by both bounds of the certificate,
     the sparse KKT system is solved. If that fails too, the pass's answer is used, provided that a certificate would
     accept its gap.
+
+    Parameters
+    ----------
+    brief : whether the sparse system, which takes a process of its own, is left out where there is the compiled pass.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         found = _by_compiled_pass(problems)
-    return [_accepted(problem, own) for problem, own in zip(problems, found, strict=True)]
+    without = brief and extension.available
+    return [_accepted(problem, own, without=without) for problem, own in zip(problems, found, strict=True)]
 
 
-def _accepted(problem: TransientProblem, own: Solution | None) -> Solution:
-    """The compiled pass's answer if it is optimal; otherwise that of the other method, if that one is optimal."""
+def _accepted(problem: TransientProblem, own: Solution | None, *, without: bool) -> Solution:
+    """The compiled pass's answer if it is optimal; otherwise that of the other method, if that one is optimal.
+
+    Parameters
+    ----------
+    without : whether there is to be no other method.
+    """
     if own is not None and own.status is Status.OPTIMAL:
         return own
-    other = solve_apart(problem)
+    other = _none(problem, "the compiled pass broke down", 0.0) if without else solve_apart(problem)
     return other if own is None or other.status is Status.OPTIMAL else replace(own, status=Status.OPTIMAL)
 
 
@@ -90,8 +100,13 @@ def solve_apart(problem: TransientProblem) -> Solution:
     try:
         return apart.call(solve_sparse, problem, within_s=within_s)
     except apart.UnansweredError as why:
-        none = Multipliers.zero(problem)
-        return Solution(Status.NUMERICAL_FAILURE, problem.rest, none, "unlimited", str(why), 0, within_s)
+        return _none(problem, str(why), within_s)
+
+
+def _none(problem: TransientProblem, why: str, spent_s: float) -> Solution:
+    """No optimum: rest, and the reason."""
+    none = Multipliers.zero(problem)
+    return Solution(Status.NUMERICAL_FAILURE, problem.rest, none, "unlimited", why, 0, spent_s)
 
 
 def solve_sparse(problem: TransientProblem) -> Solution:

@@ -199,6 +199,9 @@ class TestSparseSystem:
             return [answer._replace(command=answer.command * 1.01, **change) for answer in passes(given, tolerance)]
 
         monkeypatch.setattr(extension, "linear_passes", spoilt)
+        (trial,) = unlimited.solve([problem], brief=True)
+        assert trial.status is Status.NUMERICAL_FAILURE
+        assert not trial.command.any()
         (answer,) = unlimited.solve([problem])
         assert answer.message == "sparse KKT system"
         assert answer.status is Status.OPTIMAL
@@ -213,8 +216,9 @@ class TestSparseSystem:
         problem = make_problem(0.2, 3.0)
         (wanted,) = unlimited.solve([problem])
         monkeypatch.setattr(extension, "available", False)
-        (answer,) = unlimited.solve([problem])
-        assert answer.message == "sparse KKT system"
+        for brief in (False, True):
+            (answer,) = unlimited.solve([problem], brief=brief)
+            assert answer.message == "sparse KKT system"
         np.testing.assert_allclose(answer.command, wanted.command, atol=1e-9)
         assert certify(problem, answer.command, answer.multipliers).accepted
 
