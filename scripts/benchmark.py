@@ -36,7 +36,7 @@ from common.benchmark_cases import (
 )
 from common.command import JsonFile, at_least, run, write_json
 from common.measuring import on_one_thread
-from common.page import PageFile, write_part
+from common.page import PageFile, write_answer, write_part
 
 import problems
 from transopt.base.files import without_nan
@@ -143,12 +143,21 @@ def ratios(rows: list[Row], taken: list[Iterations]) -> list[str]:
         ratio("saturated", "casadi-ipopt", "riccati"),
         ratio("thermal", "casadi-ipopt", "riccati", "at least 50"),
         f"{LONG} stages / {STAGES} stages, riccati: {by['horizon', 'riccati', LONG] / mine:.1f}",
+        f"{LONGEST} stages / {LONG} stages, riccati: "
+        f"{by['horizon', 'riccati', LONGEST] / by['horizon', 'riccati', LONG]:.1f}",
         f"{LONGEST} stages / {STAGES} stages, riccati: {by['horizon', 'riccati', LONGEST] / mine:.1f} (at most 30), "
         f"per iteration in C {taken[1].each / taken[0].each:.1f}, {taken[1].count} iterations to {taken[0].count}",
         f"an iteration / a linear pass, {STAGES} stages: {taken[0].ratio:.2f} (at most 2); "
         f"{taken[0].each:.3f} ms / {taken[0].linear_pass:.3f} ms",
     ]
     return found
+
+
+def answer(rows: list[Row]) -> str:
+    """How fast the solver is, in one sentence with two of the ratios."""
+    by = {r.method: r.median_ms for r in rows if r.case == "saturated"}
+    piqp, opti = (by[name] / by["riccati"] for name in ("piqp", "opti-ipopt"))
+    return f"{piqp:.1f} times as fast as the PIQP wheel on a saturated tap, {opti:.1f} times as Opti and IPOPT."
 
 
 def cells(rows: list[Row]) -> list[list[str]]:
@@ -182,6 +191,8 @@ def main(
     text = [*table(HEAD, cells(rows)), *(f"- {ratio}" for ratio in ratios(rows, taken))]
     print(about, "", *text, sep="\n")
     write_part(page, text)
+    if taken:
+        write_answer(page, answer(rows))
     if json is not None:
         write_json(without_nan({**about, "rows": [asdict(r) for r in rows]}), json)
 

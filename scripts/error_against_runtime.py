@@ -17,13 +17,13 @@ from typing import Annotated
 
 from common.command import run
 from common.measuring import elapsed_ms, on_one_thread
-from common.page import PageFile, write_part
+from common.page import PageFile, write_answer, write_part
 from precision.cases import SCENES, Case, DisagreementError, case_of_scene, check_name
 from precision.figure import save_small, work_precision
 from precision.methods import Level, Method, baselines, discretisations, opti_ipopt, project_methods
 from precision.periods import measure_periods
 from precision.qp import dump
-from precision.report import markdown, summaries_of
+from precision.report import answer, markdown, summaries_of
 from precision.run import Effort, Row, measure
 from precision.user import user_method
 from precision.wheels import PIP_LINE, hpipm, wheels
@@ -157,10 +157,12 @@ def compared(
     if figure is not None:
         save_small(drawn, figure)
     write_text(text, out / REPORT)
-    print("\n".join(summaries_of(cases, rows)))
     summaries = summaries_of(cases, rows)
+    print("\n".join(summaries))
     # On the page they stand in the middle of a section.
     write_part(page, [f"**{line[4:]}**" if line.startswith("### ") else line for line in summaries])
+    if quadratic:
+        write_answer(page, answer(cases, rows))
     print(f"{out}: {REPORT}, {FIGURE}, {ROWS}; {time.perf_counter() - started:.0f} s in all")
     return 0
 

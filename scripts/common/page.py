@@ -4,7 +4,8 @@
     ...
     <!-- end -->
 
-The text around the marks is written by hand. The stamp states date, machine and command of the figures.
+The text around the marks is written by hand. The stamp states date, machine and command of the figures. Scripts whose
+figures change with every run also write their answer into the row of index.md that links to the page.
 """
 
 import platform
@@ -94,3 +95,21 @@ def write_part(page: Path | None, lines: Sequence[str]) -> None:
         raise InputError(f"{page}: no part of this script; mark one by two lines: {begin(script)} and {END}")
     part = "\n" + "\n".join(lines).strip() + f"\n\n{stamp(called())}\n\n"
     write_text(marks.sub(lambda found: found[1] + part + found[2], text), page)
+
+
+def write_answer(page: Path | None, answer: str) -> None:
+    """Write the answer into the row of index.md, beside the page, that links to the page; nothing without a page.
+
+    Raises
+    ------
+    InputError : index.md cannot be read or written, or has no such row.
+    """
+    if page is None:
+        return
+    index = page.parent / "index.md"
+    text = read_file(index, MOST_TEXT_BYTES, "write to a page of docs/results").decode()
+    link = rf"\[{re.escape(page.stem)}\]\({re.escape(page.name)}\)"
+    row = re.compile(rf"^(\|[^|\n]*\| )[^|\n]*( \| {link} \|)$", re.MULTILINE)
+    if not row.search(text):
+        raise InputError(f"{index}: no row for {page.name}: add | question | answer | [{page.stem}]({page.name}) |")
+    write_text(row.sub(lambda found: found[1] + answer + found[2], text), index)

@@ -74,6 +74,16 @@ def summaries_of(cases: Sequence[Case], rows: Sequence[Row]) -> list[str]:
     return lines
 
 
+def answer(cases: Sequence[Case], rows: Sequence[Row]) -> str:
+    """Run time and worst error of the best method on the QPs, and how far behind the next method is."""
+    best, *others = summarise(rows, [case.name for case in cases if case.qp is not None])
+    after = next((s for s in others if s.method != best.method), best)
+    return (
+        f"{milliseconds(best.scores[SOLVED].mean_ms)} ms at an error of {number(best.worst)}, "
+        f"{after.scores[SOLVED].relative:.1f} times as fast as `{after.method}`, the next of those compared."
+    )
+
+
 def _across(cases: Sequence[Case], rows: Sequence[Row], kind: Kind, cell: str, first: str) -> list[str]:
     """One line per method of a kind, one column per case."""
     chosen = [row for row in rows if row.kind == kind.value]

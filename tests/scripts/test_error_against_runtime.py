@@ -10,6 +10,7 @@ from dataclasses import replace
 from importlib import metadata
 from itertools import combinations
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -179,6 +180,19 @@ class TestSummary:
         assert lost.scores[1e-3].success == 0.0
         assert lost.scores[1e-3].mean_ms == pytest.approx(10000.0)
         assert lost.worst == math.inf
+
+    def test_the_answer_tells_of_the_best_method_and_of_the_next_other_one(self) -> None:
+        found = [
+            ("own", 1.0, "high accuracy"),
+            ("own", 1.2, "default"),
+            ("slow", 400.0, "default"),
+            ("peer", 34.0, "default"),
+        ]
+        rows = [self.row("a", name, ms, 2e-13, level) for name, ms, level in found]
+        rows.append(self.row("hot", "own", 9.0, 1e-9))
+        given = [SimpleNamespace(name="a", qp=object()), SimpleNamespace(name="hot", qp=None)]
+        told = "1.0 ms at an error of 2e-13, 34.0 times as fast as `peer`, the next of those compared."
+        assert report.answer(given, rows) == told
 
 
 def test_readme_and_report_ask_for_one_citation_of_this_version() -> None:

@@ -11,7 +11,12 @@ from tests.benches.scripts import script
 from transopt.base.errors import InputError
 
 page_parts = script("common.page")
-END, begin, write_part = page_parts.END, page_parts.begin, page_parts.write_part
+END, begin, write_part, write_answer = (
+    page_parts.END,
+    page_parts.begin,
+    page_parts.write_part,
+    page_parts.write_answer,
+)
 
 STAMP = re.compile(
     r"^\*`python ([^`]+)`, \d{4}-\d\d-\d\d, .+, \d+ cores, Python 3\.[\d.]+, "
@@ -73,6 +78,30 @@ def test_a_page_of_another_script_is_refused(page: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(sys, "argv", ["scripts/soak.py"])
     with pytest.raises(InputError, match=r"no part of this script; mark one by two lines: <!-- written by"):
         write_part(page, [])
+
+
+def test_the_answer_replaces_the_one_in_the_row_that_links_to_the_page_and_no_other(page: Path) -> None:
+    index = page.parent / "index.md"
+    index.write_text(
+        "| q | a | detail |\n|---|---|---|\n| One? | 1 ms | [o](o.md) |\n| Two? | old 2.0 | [p](p.md) |\n"
+    )
+    write_answer(page, "3.0 times, \\1")
+    expected = (
+        "| q | a | detail |\n|---|---|---|\n| One? | 1 ms | [o](o.md) |\n| Two? | 3.0 times, \\1 | [p](p.md) |\n"
+    )
+    assert index.read_text() == expected
+    write_answer(None, "lost")
+    assert index.read_text() == expected
+    with pytest.raises(InputError, match=r"no row for x.md: add \| question \| answer \| \[x\]\(x.md\) \|"):
+        write_answer(page.parent / "x.md", "lost")
+
+
+@pytest.mark.parametrize("name", ["speed.md", "error_against_runtime.md"])
+def test_the_results_have_a_row_for_each_answer_that_a_script_writes(tmp_path: Path, name: str) -> None:
+    index = tmp_path / "index.md"
+    index.write_text((RESULTS / "index.md").read_text(encoding="utf-8"), encoding="utf-8")
+    write_answer(tmp_path / name, "measured anew")
+    assert index.read_text(encoding="utf-8").count(f"| measured anew | [{Path(name).stem}]({name}) |") == 1
 
 
 CAMPAIGN = """
