@@ -14,6 +14,7 @@ from precision.discretisations import RULES, discretised, growth
 from transopt.base.signals import FloatArray
 from transopt.problem.answer import Multipliers
 from transopt.problem.baselines import clipped_optimum, seed_inversion
+from transopt.problem.problem import TransientProblem
 from transopt.solvers import unlimited
 from transopt.solvers.choose import SOLVERS, capable, solve
 from transopt.solvers.options import SolverOptions
@@ -75,7 +76,7 @@ class Method:
     Attributes
     ----------
     settings : of a case; none where the method cannot take it.
-    prepare : everything that is done once for problems of one shape. A run starts cold and takes its numbers anew.
+    prepare : everything that is done once for problems of one shape. A run starts without an earlier run's answer.
     """
 
     name: str
@@ -115,6 +116,11 @@ def sweep(default: str, tolerances: Sequence[float], high: float, name: str, mor
 # ------------------------------------------------------------------------------------------------ the project's
 
 
+def new_tap(problem: TransientProblem) -> TransientProblem:
+    """A problem as a new tap of a known device: what solvers keep of its target is computed again."""
+    return replace(problem, target=replace(problem.target))
+
+
 def _project(solver: str) -> Method:
     def settings(case: Case) -> list[Setting]:
         if solver not in capable(case.small):
@@ -128,7 +134,7 @@ def _project(solver: str) -> Method:
         options = SolverOptions(solver, setting.tolerance)
 
         def run() -> Answer:
-            found = solve(case.small, options)
+            found = solve(new_tap(case.small), options)
             return Answer(found.command, found.message, found.iterations, found.multipliers)
 
         return Prepared(run)

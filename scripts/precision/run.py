@@ -25,7 +25,7 @@ class Row:
     Attributes
     ----------
     kind, level : values of `methods.Kind` and `Level`. tolerance : NaN for a method's own defaults.
-    setup_ms : what is done once per shape. solve_ms, q25_ms, q75_ms : median and quartiles of `runs`, from cold.
+    setup_ms : what is done once per shape. solve_ms, q25_ms, q75_ms : median and quartiles of `runs`.
     gap, violation, error : `cases.Verdict`, relative. tap_error_excess : tap error after replay less the reference's.
     certificate : relative duality gap by the method's own multipliers; NaN where it gives none.
     reference : one of the two that the error is measured from: that it has none, or almost none, says nothing.

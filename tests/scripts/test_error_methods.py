@@ -17,6 +17,7 @@ from transopt.plant.discretise import discretise
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify
 from transopt.scene.scene import Scene
+from transopt.solvers import riccati, stage_data
 
 cases = script("precision.cases")
 discretisations = script("precision.discretisations")
@@ -124,6 +125,19 @@ class TestMethods:
             assert own[1e-12].error < 1e-9
             assert own[1e-12].certificate < 1e-9
             assert own[1e-1].error >= own[1e-12].error
+
+    @pytest.mark.skipif(not riccati.available, reason="the extension is not built")
+    def test_each_run_of_the_projects_method_computes_its_stage_data(
+        self, short_case: Any, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        computed, as_before = [], stage_data._stages
+        monkeypatch.setattr(stage_data, "_stages", lambda problems: computed.append(1) or as_before(problems))
+        (method,) = (each for each in methods.project_methods() if each.name == "riccati")
+        prepared = method.prepare(short_case, method.settings(short_case)[0])
+        one, two, three = (prepared.run() for _ in range(3))
+        assert len(computed) == 3
+        np.testing.assert_array_equal(one.command_A, three.command_A)
+        assert one.iterations == two.iterations
 
     @pytest.mark.parametrize("name", WHEELS)
     def test_wheels_agree_and_start_cold(self, short_case: Any, rows_of: Any, name: str) -> None:
