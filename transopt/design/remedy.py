@@ -32,7 +32,7 @@ from transopt.solvers.options import SolverOptions, TrialOptions
 MOST_WORK = 100.0  # work of all trials for one entry; most searches of the stress suite end within 20 trials
 STAGES_OF_WORK = 1000.0  # number of stages whose solution takes as long as the fixed part of a trial
 STATES_OF_WORK = 12.0  # with more states the work of a stage is in proportion to their square
-SLOW = 5.0  # work of a trial on a nonlinear plant or for the worst of several devices, relative to any other
+SLOW = 5.0  # work of a trial on a nonlinear plant, for the worst of several devices or for an energy, over any other
 MOST_ITERATIONS = 60  # of the solver in a trial; a feasible problem takes a quarter of it
 DIGITS = 3  # significant digits of a proposal
 TENTHS = 10  # temperatures are rounded to 1 / TENTHS of a kelvin
@@ -127,7 +127,7 @@ class Work:
         """Add the work of one trial of a refused entry with other numbers."""
         problem = refused.problem
         stages = (values.get(STAGES) or problem.grid.stages) + problem.grid.after_stages
-        slow = problem.worst or refused.designed.nonlinear is not None
+        slow = problem.worst or refused.objective == "intensity" or refused.designed.nonlinear is not None
         each = max(layout(problem).states / STATES_OF_WORK, 1.0) ** 2
         self.spent += (SLOW if slow else 1.0) * (1 + each * stages / STAGES_OF_WORK)
 

@@ -171,18 +171,19 @@ class TestSearch:
             assert work.left == pytest.approx(max(most - work.spent, 0.0))
         assert len(asked) < 40
 
-    def test_a_longer_window_more_states_and_the_worst_of_several_devices_are_more_work(self) -> None:
+    def test_a_longer_window_more_states_the_worst_of_several_devices_and_an_energy_are_more_work(self) -> None:
         (entry,) = design([LEANT_ON.posed()])
         (late,) = design([replace(LEANT_ON, current=replace(LEANT_ON.current, delay_samples=20)).posed()])
         states = layout(late.problem).states
         assert states > 24
+        intense = entry.stating(objective="intensity")
         worst = replace(entry, designed=replace(entry.designed, problem=replace(entry.problem, worst=True)))
         spent = []
-        for one, values in ((entry, {}), (entry, {"time.stages": 2000.0}), (worst, {}), (late, {})):
+        for one, values in ((entry, {}), (entry, {"time.stages": 2000.0}), (worst, {}), (intense, {}), (late, {})):
             work = Work()
             work.spend(one, values)
             spent.append(work.spent)
-        assert spent == pytest.approx([1.04, 3.0, 5.2, 1 + 0.04 * (states / 12) ** 2])
+        assert spent == pytest.approx([1.04, 3.0, 5.2, 5.2, 1 + 0.04 * (states / 12) ** 2])
 
 
 @pytest.mark.parametrize("case", [STARVED, LEANT_ON, WARM, BETWEEN], ids=["rail", "wall", "coil", "between"])
