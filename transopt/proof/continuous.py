@@ -121,11 +121,12 @@ class Loop:
     def close(self, period: "Period", amplifier: Amplifier | None, commands: FloatArray) -> None:
         """Add the feedback to the commands (M, behind + periods) of a period's segments, in place."""
         dt_s, z = period.grid.dt_s, np.stack([each.nominal_m for each in self.walls])[:, : period.periods]
-        # After the last known tick the nominal motion goes on at constant speed.
-        beyond = np.arange(1, period.periods - z.shape[1] + 1)
-        nominal = np.hstack([z, z[:, -1:] + beyond * (z[:, -1:] - z[:, -2:-1])])
-        first = np.round(z[:, 0] / self.count_m) * self.count_m if self.count_m else z[:, 0]
         approach = np.array([each.approach_m_s for each in self.walls])
+        # After the last known tick the nominal motion goes on at constant speed; before the first one it approaches.
+        beyond = np.arange(1, period.periods - z.shape[1] + 1)
+        known = np.hstack([z[:, :1] + dt_s * approach[:, None], z])
+        nominal = np.hstack([z, z[:, -1:] + beyond * (known[:, -1:] - known[:, -2:-1])])
+        first = np.round(z[:, 0] / self.count_m) * self.count_m if self.count_m else z[:, 0]
         A, B = period.step
         encoder = np.append(np.zeros(B.shape[1]), period.flow.encoder)
         law = FeedbackLoop(self.walls[0].wall, amplifier, dt_s, first, approach)

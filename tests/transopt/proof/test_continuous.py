@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from problems.stress.cases import StressCase
+from problems.stress.parts import Surface
 from tests.conftest import ProblemMaker
-from transopt.proof.continuous import MOST_KEPT, accurate
+from transopt.proof.continuous import MOST_KEPT, Loop, accurate
 
 pytestmark = pytest.mark.usefixtures("way")
 
@@ -75,3 +77,17 @@ def test_the_systems_that_a_period_keeps_are_few_and_those_asked_for(make_proble
         np.testing.assert_allclose(found, scale * first.outputs(acting), rtol=1e-12, atol=1e-12)
         assert period.sampled(scale * rows, [0]) is not period.sampled(scale * rows)
     assert len(period._kept) <= MOST_KEPT
+
+
+def test_a_motion_of_which_one_tick_is_known_goes_on_as_it_approached() -> None:
+    problem = StressCase("wall", surface=Surface()).problem()
+    wall, command = problem.wall, np.zeros((1, problem.grid.stages))
+    assert wall is not None
+    straight_m = -wall.approach_m_s * problem.grid.dt_s * np.arange(5)
+    one, *others = (
+        accurate(problem.stage, problem.grid, command, Loop([replace(wall, nominal_m=straight_m[:ticks])], 0.0))
+        for ticks in (1, 2, 5)
+    )
+    assert np.abs(one.accelerations).max() > 0.1
+    for other in others:
+        np.testing.assert_allclose(one.accelerations, other.accelerations, rtol=1e-9, atol=1e-9)
