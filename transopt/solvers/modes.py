@@ -55,7 +55,9 @@ def _of_dynamics(A: FloatArray, current: int) -> Modes:
     if current >= 0:
         # Only the command acts on the current, so that the current is itself a mode; it keeps its unit.
         own = int(np.abs(T[current]).argmax())
-        T[:, own] /= T[current, own] or 1.0
+        if not abs(T[current, own]) * MOST_CONDITION >= 1:
+            return dense  # in its unit this column would be longer than the commands' by more than the condition
+        T[:, own] /= T[current, own]
         T[current] = np.arange(n) == own
     if not np.linalg.cond(T) <= MOST_CONDITION:
         return dense

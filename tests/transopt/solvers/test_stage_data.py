@@ -11,7 +11,7 @@ from transopt.design.context import Context
 from transopt.problem.problem import TransientProblem
 from transopt.references.references import References
 from transopt.scene.scene import Scene
-from transopt.solvers import stage_data
+from transopt.solvers import modes, stage_data
 from transopt.solvers.stage_data import NO_LIMITS, Stages, records_of, stages, stages_of, without_limits_of
 
 
@@ -73,3 +73,11 @@ def test_without_limits_nothing_is_bounded(problems: list[TransientProblem]) -> 
         assert given.sizes == whole.sizes | {"rows": 0}
         assert whole.sizes["rows"] > 0
         assert all(given.arrays[name].size == 0 for name in NO_LIMITS)
+
+
+def test_a_current_that_is_lost_in_every_mode_leaves_the_states_as_they_are() -> None:
+    """In the unit of the current such a mode would overflow; every warning is an error here."""
+    A = np.array([[0.5, 1e308, 0.0], [0.0, 0.25, 0.75], [0.0, 0.0, 1.0]])
+    found = modes._of_dynamics(A, current=1)
+    np.testing.assert_array_equal(found.T, np.eye(3))
+    np.testing.assert_array_equal(found.A, A)
