@@ -13,10 +13,12 @@ from transopt.design.context import Context
 from transopt.library.library import Library
 from transopt.plant.wall import reference_course
 from transopt.problem.answer import OBJECTIVE_SCALE
+from transopt.problem.leave_out import leave_out
 from transopt.problem.problem import TransientProblem
 from transopt.problem.wall_ticks import pressing
 from transopt.proof.certify import certify
 from transopt.proof.effect import Effect
+from transopt.scene.keys import with_values
 from transopt.scene.recordings import recordings_of
 from transopt.solvers import riccati
 from transopt.solvers.native import extension
@@ -140,6 +142,22 @@ def test_a_limit_that_binds_after_the_cut_is_left_and_not_certified(saturated: T
     assert not certified(saturated, command, multipliers).accepted
     late = np.abs(Effect(saturated, command).motion.plant_input[cut:])
     assert late.max() > 1.01 * saturated.limits.input_limit
+
+
+def test_where_the_cut_takes_the_digits_all_stages_are_searched() -> None:
+    """A window of 40 ms at a servo period of 2 us: the rest's cost has lost what the certificate asks for."""
+    scene = with_values(
+        problems.load("wood_on_foam"), {"time.dt_s": 2e-6, "time.stages": 20000, "weights.after_s": 1e-3}
+    )
+    problem = leave_out(Context.recorded(scene, recordings_of(scene)).posed(0.4, 1.0).problem).problem
+    assert "temperature" not in problem.limits
+    cut = 2 * problem.grid.stages // 8
+    short, (own,) = answer(problem, cut), riccati.solve([problem], SolverOptions())
+    assert last_bound(short) < cut
+    given = stages(problem)
+    multipliers = given.multipliers(short.upper - short.lower, short.gradient)
+    assert certify(problem, given.command(short.command), multipliers).relative_gap > 1e-6
+    assert certify(problem, own.command, own.multipliers).relative_gap < 2e-7
 
 
 def test_a_binding_temperature(library: Library) -> None:

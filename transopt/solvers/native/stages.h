@@ -45,6 +45,7 @@ static const double FARTHEST = 5e-3;  /* share of slacks and multipliers that a 
 static const double NEAREST = 1e-9, NEARNESS = 0.1;
 static const double FIRST_GAP = 3.0;  /* gap of the first iterate, in units of its objective */
 static const double LAST_GAP = 0.03;  /* that is aimed at, of what is allowed: less only costs digits elsewhere */
+static const double UNSEEN = 1e-7;    /* gap that may be left by a search before the cut; a tenth of a certificate's */
 static const double NO_PIVOT = 1e-14; /* of a Cholesky factor, as a share of the largest diagonal entry */
 static const double LEAST = 1e-290;   /* negligible positive number that avoids a division by zero */
 enum {
@@ -1664,9 +1665,38 @@ static void find_last(const tr_work *w, const tr_problem *const *all, int from, 
     }
 }
 
+/* What a search before the cut does not see of its gap: the error of its costate at the cut, by the cost's root there,
+ * on its way backward through the stages before. `costate` is that of the answer. */
+static number unseen(const tr_work *w, const number *Z, const number *z, const lanes *costate)
+{
+    const int n = w->q->states, motors = w->q->motors, first = n - motors, blocks = w->ld / PER;
+    lanes x[MOST_BLOCKS], off[MOST_BLOCKS], next[MOST_BLOCKS];
+    number found = {0}, later[MOST_MOTORS] = {0};
+    memset(x, 0, sizeof x);
+    for (int k = 0; k < w->cut; k++) {
+        flow(first, motors, blocks, w, x, w->u + k * motors, next);
+        copy(blocks, next, x);
+    }
+    copy(blocks, costate, off);
+    for (int i = 0; i < n; i++) {
+        number left = -z[i];
+        for (int j = i; j < n; j++) left += Z[i * n + j] * AT(x, j);
+        for (int j = i; j < n; j++) AT(off, j) -= Z[i * n + j] * left;
+    }
+    for (int k = 0; k < w->cut; k++) {
+        flow_back(first, motors, blocks, w, off, next);
+        copy(blocks, next, off);
+        for (int c = 0; c < motors; c++) {
+            found += absolute(AT(off, first + c) - later[c]);
+            later[c] = AT(off, first + c);
+        }
+    }
+    return 2.0 * w->command_bound * found;
+}
+
 /* Search with limits that are stated before stage `cut` alone. From there on the optimum follows from the
  * state, and its cost is a square: a pass without limits gives both, and the search has `cut` stages. `last` says where
- * the answer leaves limits that are not stated (`find_last`). */
+ * the answer leaves limits that are not stated (`find_last`); N where rounding in that cost takes its digits. */
 static int shortened(const tr_problem *const *all, int cut, const tr_options *options, double *space, tr_result *const *r,
                      int *last, tr_watch *watch)
 {
@@ -1745,7 +1775,11 @@ static int shortened(const tr_problem *const *all, int cut, const tr_options *op
             r[e]->command[at] = (at < motors ? 0.0 : r[e]->command[at - motors]) + EACH(w->u[at], e);
             r[e]->gradient[at] = EACH(w->offset[at], e);
         }
-    if (!NODES(q)) find_last(w, all, cut, options->tolerance, last);
+    if (NODES(q)) return 0;
+    find_last(w, all, cut, options->tolerance, last);
+    const number left = unseen(w, Z, z, w->costate_at_cut);
+    for (int e = 0; e < ENTRIES; e++)
+        if (!(EACH(left, e) <= UNSEEN * fmax(r[e]->objective, 1.0))) last[e] = N;
     return 0;
 }
 
