@@ -105,6 +105,15 @@ class Signal:
         return replace(self, values=factor * self.values)
 
 
+def read_only(values: FloatArray) -> FloatArray:
+    """A view of numbers that cannot be edited in place, because what is computed from them is cached."""
+    if not values.flags.writeable:
+        return values
+    found = values.view()
+    found.flags.writeable = False
+    return found
+
+
 def samples_before(time_s: float, first_s: float, step_s: float, count: int) -> int:
     """How many of the `count` times first, first + step, ... lie before a time."""
     k = math.ceil(min(max((time_s - first_s) / step_s, 0.0), count))

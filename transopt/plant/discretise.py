@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from transopt.base.matrices import exponential
 from transopt.base.recursions import LinearSystem, Recursion
 from transopt.base.shown import brief
-from transopt.base.signals import FloatArray
+from transopt.base.signals import FloatArray, read_only
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.scaling import peaks, sizes
 from transopt.plant.state_space import StateSpace
@@ -158,6 +158,10 @@ class StageModel:
     instants: Mapping[str, tuple[Fraction, ...]] = field(default_factory=dict)
 
     __repr__ = brief
+
+    def __post_init__(self) -> None:
+        for name in ("A", "B", "C", "D", "Ci", "Di", "Cv"):
+            vars(self)[name] = read_only(getattr(self, name))
 
     @property
     def motors(self) -> int:

@@ -81,3 +81,15 @@ def test_a_current_that_is_lost_in_every_mode_leaves_the_states_as_they_are() ->
     found = modes._of_dynamics(A, current=1)
     np.testing.assert_array_equal(found.T, np.eye(3))
     np.testing.assert_array_equal(found.A, A)
+
+
+def test_a_posed_problem_cannot_be_edited_under_what_is_kept_of_it(problems: list[TransientProblem]) -> None:
+    problem = problems[0]
+    stages(problem)
+    own = problem.target.window_m_s2.copy()
+    for kept in (problem.target.window_m_s2, problem.stage.A, problem.stage.C):
+        with pytest.raises(ValueError, match="read-only"):
+            kept[0] = 0.5
+    given = replace(problem.target, window_m_s2=own).window_m_s2
+    assert not given.flags.writeable
+    assert own.flags.writeable

@@ -1,12 +1,12 @@
 """The target acceleration of the stylus: in the window, before any command acts, and after the last one."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 import numpy as np
 
 from transopt.base.shown import brief
-from transopt.base.signals import FloatArray
+from transopt.base.signals import FloatArray, read_only
 
 ZERO_M_S2 = 1e-3  # a tap with a smaller rms counts as zero
 LARGEST_M_S2 = 1e100  # sums of squares of larger samples may overflow in double precision
@@ -54,6 +54,10 @@ class Target:
     free_before_m_s2: FloatArray = field(default_factory=_none)
 
     __repr__ = brief
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            vars(self)[each.name] = read_only(getattr(self, each.name))
 
     @classmethod
     def of_whole(cls, whole: FloatArray, free: FloatArray, lost: int, stages: int) -> "Target":
