@@ -73,16 +73,16 @@ void td_ring_start(td_ring *ring, const td_hardware *hardware, double winding_C,
 
 uint32_t td_ring_watch(td_ring *ring, td_real measured_A)
 {
-    const td_real measured = td_size(measured_A);
+    const bool finite = td_size(measured_A) < (td_real)1e30;
+    /* The servo detects an invalid reading; the coil's estimate then uses the largest current that is no fault. */
+    const td_real measured = finite ? td_size(measured_A) : ring->over_current_A;
     uint32_t faults = 0;
 
-    /* The servo detects an invalid reading; the coil's estimate then uses the largest current that may flow. */
-    if (measured > ring->over_current_A)
+    if (td_size(measured_A) > ring->over_current_A)
         faults |= td_fault_bit(TD_WHAT_OVER_CURRENT);
     if (!ring->coil.present)
         return faults;
-    td_guard_step(&ring->guard, &ring->coil,
-                  measured > ring->flowing_A && measured <= ring->over_current_A ? measured : ring->flowing_A);
+    td_guard_step(&ring->guard, &ring->coil, measured > ring->flowing_A ? measured : ring->flowing_A);
     if (td_guard_too_hot(&ring->guard, &ring->coil))
         faults |= td_fault_bit(TD_WHAT_OVER_TEMPERATURE);
     return faults;
