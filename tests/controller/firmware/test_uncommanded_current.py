@@ -1,4 +1,4 @@
-"""A current that nobody commanded: the hardware's own guard counts its heat."""
+"""A current that nobody commanded: the hardware's own guard counts its heat, over a restart too."""
 
 import math
 from collections.abc import Callable
@@ -43,3 +43,9 @@ def test_the_hardwares_guard_counts_whatever_is_measured(start: Start, measured_
     talker = Talker(start())
     talker.step(HEAT_TICKS, replace(REST, current_A=measured_A))
     assert talker.device.coil_C() == pytest.approx(heated_C(flows_A), abs=0.5)
+
+
+def test_a_restart_cools_no_coil(start: Start) -> None:
+    assert start(heat_C=(180.0, 95.0)).coil_C() == pytest.approx((180.0, 95.0))
+    # A guard never keeps more than its ceiling: beyond it nothing is known.
+    assert start(heat_C=(1001.0, 1001.0)).coil_C() == pytest.approx(start(heat_C=None).coil_C())

@@ -4,7 +4,6 @@
 
 #define COPPER_PER_K 0.0039 /* temperature coefficient of resistance */
 #define PWM_RIPPLE_A 0.02   /* seed Eq. 7 */
-#define CEILING_C 1000.0    /* an estimate at infinity could not cool down again */
 
 void td_guard_start(td_guard *guard, const td_coil *coil)
 {
@@ -26,8 +25,8 @@ static void update(td_guard *guard, const td_coil *coil, td_wide power_W)
     /* The midpoint rule fails if copper doubles its resistance within one update, which no coil does. */
     const bool sound = a11 > 0.5;
 
-    guard->winding_C = sound && winding <= CEILING_C ? winding : CEILING_C;
-    guard->housing_C = sound && housing <= CEILING_C ? housing : CEILING_C;
+    guard->winding_C = sound && winding <= TD_CEILING_C ? winding : TD_CEILING_C;
+    guard->housing_C = sound && housing <= TD_CEILING_C ? housing : TD_CEILING_C;
 }
 
 void td_guard_step(td_guard *guard, const td_coil *coil, td_real current_A)

@@ -4,6 +4,8 @@
 
 #include "td_config.h"
 
+#define TD_CEILING_C 1000.0 /* of the estimates: one at infinity could not cool down again */
+
 /* Two thermal nodes: i_eff^2 is summed every tick, the temperatures are updated every 10 ms. */
 typedef struct {
     td_wide winding_C, housing_C;

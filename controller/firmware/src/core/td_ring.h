@@ -21,8 +21,8 @@ typedef struct {
     td_guard guard;
 } td_ring;
 
-/* Start without current. `winding_C`, `housing_C`: temperatures kept over the restart; NaN if unknown, and then the
- * hottest that the guard allows. */
+/* Start without current. `winding_C`, `housing_C`: temperatures kept over the restart, above the limit too; NaN if
+ * unknown, and then just below the limit. */
 void td_ring_start(td_ring *ring, const td_hardware *hardware, double winding_C, double housing_C);
 
 /* One tick's raw reading of the current, in any state; returns faults as bits (td_fault_bit). */
