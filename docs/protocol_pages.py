@@ -57,6 +57,7 @@ REQUESTS: dict[Kind, Request] = {
             R.BAD_LEASE,
             R.BAD_VALUE,
             R.TOO_HOT,
+            R.CURRENT_FLOWS,
             R.NOT_AT_REST,
         ),
     ),
@@ -66,7 +67,9 @@ REQUESTS: dict[Kind, Request] = {
     Kind.GAIN: Request(Kind.DONE, "any", (R.NO_CONFIGURATION, R.BAD_VALUE)),
     Kind.TELEMETRY: Request(Kind.DONE, "any"),
     Kind.PULSE: Request(
-        Kind.DONE, "idle, at rest", (*_IDLE, R.NO_CONFIGURATION, R.BAD_VALUE, R.OTHER_PULSE, R.NOT_AT_REST)
+        Kind.DONE,
+        "idle, at rest",
+        (*_IDLE, R.NO_CONFIGURATION, R.BAD_VALUE, R.OTHER_PULSE, R.CURRENT_FLOWS, R.NOT_AT_REST),
     ),
     Kind.EVIDENCE: Request(Kind.EVIDENCE_REPLY, "any"),
     Kind.EVENT_ACK: Request(None, "any"),

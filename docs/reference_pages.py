@@ -65,7 +65,7 @@ SEEN_WHEN = {
         f"{{no_current_A}} A or more; {FEWEST_TICKS} periods at least"
     ),
     Fault.WRONG_CURRENT: (
-        f"while a transient plays the measured current is for {1e3 * WRONG_CURRENT_S:g} ms further from the expected "
+        f"the measured current is for {1e3 * WRONG_CURRENT_S:g} ms further from the expected "
         f"one than {WRONG_CURRENT_A:g} A and {100 * WRONG_CURRENT_PART:g} % of it; {FEWEST_TICKS} periods at least"
     ),
     Fault.GRIP_OPEN: "the grip reads below {grip_open_N} N, or no number",

@@ -74,6 +74,9 @@ class Reason(Enum):
     STILL_PLAYING = "something is playing: wait for its end"
     NO_TRIAL = "no finished trial of this library under this configuration since the device started: run `check`"
     OTHER_PULSE = "pairs of pulses are those that the configuration states and predicts: ask for them"
+    CURRENT_FLOWS = (
+        "a current flows that nobody commanded: check amplifier, supply and the monitor's zero, then try again"
+    )
 
 
 class Stage(IntEnum):

@@ -1,7 +1,8 @@
 """Constants of the core that hold on every device, independent of its settings; `c_header` writes them for C."""
 
-# Largest error of the measured current while a transient plays: absolute, relative to the expected current, and the
-# longest time beyond both. Amplifier and monitor that are 10 % off each leave 22 %; their lag lasts a few ticks only.
+# Largest error of the measured current in every state: absolute, relative to the expected current, and the longest
+# time beyond both. Amplifier and monitor that are 10 % off each leave 22 %; their lag lasts a few ticks only. Only
+# the first counts without a command: it is six times the offset that the host's check admits.
 WRONG_CURRENT_A, WRONG_CURRENT_PART, WRONG_CURRENT_S = 0.3, 0.3, 2e-3
 # Least ticks over which a wrong or a missing current is judged. The expected current ignores the fraction of a period
 # in the amplifier's delay, so that after a jump of the command one reading and the next may be off.

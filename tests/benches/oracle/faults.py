@@ -23,7 +23,7 @@ class Watch:
     expected_A : current that the amplifier model expects now, its whole ticks of delay included.
     missing_ticks : for so long far less current than expected was measured.
     still_ticks, still_A_s : since the last count: ticks with current, impulse of the transient.
-    wrong_ticks : for so long another current than expected was measured while a transient plays.
+    wrong, wrong_ticks : another current than expected was measured in the last tick, and for so long.
     crosscheck : what encoder, accelerometer and current say of each other.
     """
 
@@ -41,7 +41,7 @@ class Watch:
         self.counts = 0
         self.current_A = self.expected_A = self.raw_grip_N = self.step_m_s = 0.0
         self.emergency_stop = self.host_stop = self.late = False
-        self.bad_encoder = self.bad_current = self.playing = self.held = False
+        self.bad_encoder = self.bad_current = self.playing = self.held = self.wrong = False
         self.wrong_limit = max(s.ticks(WRONG_CURRENT_S), FEWEST_TICKS)
         self.crosscheck = Crosscheck(s)
         self.forget()
@@ -81,8 +81,8 @@ class Watch:
         size, expected = abs(self.current_A), abs(expected_A)
         missing = expected >= s.no_current_A and size < s.no_current_part * expected
         self.missing_ticks = self.missing_ticks + 1 if missing else 0
-        wrong = playing and abs(self.current_A - expected_A) > WRONG_CURRENT_A + WRONG_CURRENT_PART * expected
-        self.wrong_ticks = self.wrong_ticks + 1 if wrong else 0
+        self.wrong = abs(self.current_A - expected_A) > WRONG_CURRENT_A + WRONG_CURRENT_PART * expected
+        self.wrong_ticks = self.wrong_ticks + 1 if self.wrong else 0
         self.crosscheck.step(moved, readings.acceleration_m_s2, self.current_A, playing)
         if moved != 0:
             self.still_ticks, self.still_A_s = 0, 0.0
@@ -132,7 +132,7 @@ FAULTS = (
         lambda w: w.still_ticks >= w.still_limit or abs(w.still_A_s) >= w.settings.stuck_A_s or w.crosscheck.stuck,
     ),
     _rule(Fault.NO_CURRENT, lambda w: w.missing_ticks >= w.missing_limit),
-    _rule(Fault.WRONG_CURRENT, lambda w: w.wrong_ticks >= w.wrong_limit),
+    _rule(Fault.WRONG_CURRENT, lambda w: w.wrong_ticks >= w.wrong_limit, lambda w: w.wrong),
     _rule(Fault.GRIP_OPEN, lambda w: w.has_grip and not w.raw_grip_N >= w.settings.grip_open_N),
     _rule(Fault.GRIP_SHORT, lambda w: w.has_grip and w.raw_grip_N > w.settings.grip_short_N),
     _rule(Fault.GRIP_LOST, lambda w: w.held and _loose(w), _loose),

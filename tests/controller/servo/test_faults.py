@@ -38,15 +38,19 @@ INJECTIONS = [
     Injection(Fault.GRIP_SHORT, grip_N=INF),
     Injection(Fault.GRIP_LOST, playing=True, grip_N=0.4),
     Injection(Fault.NO_CURRENT, ticks=10, playing=True, current_A=0.0),
+    Injection(Fault.WRONG_CURRENT, ticks=25, current_A=4.9),
 ]
 
 
 @pytest.mark.parametrize("injection", INJECTIONS, ids=lambda i: f"{i.fault.name}-{i.change}")
 def test_every_fault_latches_at_once_and_silences(bench: Bench, injection: Injection) -> None:
     rng = np.random.default_rng(2)
-    # No current can only be seen while one is wanted: within the first stroke.
-    span = (CONTACT, CONTACT + 25) if injection.ticks > 1 else (CONTACT, CONTACT + 790)
-    instants = rng.integers(*(span if injection.playing else (5, CONTACT + 800)), size=25)
+    # No current can only be seen while one is wanted, within the first stroke; a wrong one best while none is.
+    slow, last = injection.ticks > 1, CONTACT + 800
+    span = (5, CONTACT - 40 if slow else last)
+    if injection.playing:
+        span = (CONTACT, CONTACT + 25 if slow else last - 10)
+    instants = rng.integers(*span, size=25)
     for instant in sorted(set(instants.tolist())):
         made = Bench(bench.servo.settings, bench.servo.bank)
         made.servo.arm()

@@ -44,6 +44,14 @@ static td_refusal need_rest(const td_device *device)
                : td_refuse(TD_REASON_NOT_AT_REST, servo->approach.speed_m_s);
 }
 
+/* No current but the model's, which is zero in IDLE once the last command has decayed. */
+static td_refusal need_known_current(const td_device *device)
+{
+    const td_watch *watch = &device->servo.watch;
+
+    return td_watch_is_wrong(watch) ? td_refuse(TD_REASON_CURRENT_FLOWS, (double)watch->current_A) : td_granted;
+}
+
 static td_refusal need_gain(const td_device *device, double gain)
 {
     const double most = device->trial ? TD_TRIAL_GAIN : 1;
@@ -148,7 +156,9 @@ static td_refusal arm(td_device *device, const uint8_t *body)
         return found;
     if (servo->config->coil.present && !(servo->guard.winding_C <= servo->config->coil.play_limit_C))
         return td_refuse(TD_REASON_TOO_HOT, servo->guard.winding_C);
-    found = need_rest(device);
+    found = need_known_current(device);
+    if (found.reason == 0)
+        found = need_rest(device);
     if (found.reason != 0)
         return found;
     td_servo_set_gain(servo, gain);
@@ -221,7 +231,9 @@ static td_refusal pulse(td_device *device, double current_A, uint16_t ticks, uin
         return td_refuse(TD_REASON_OTHER_PULSE, current_A);
     if (pairs > 0 && !shows(hardware, calibration, fabs(current_A)))
         return td_refuse(TD_REASON_BAD_VALUE, current_A);
-    found = need_rest(device);
+    found = need_known_current(device);
+    if (found.reason == 0)
+        found = need_rest(device);
     if (found.reason != 0)
         return found;
     td_pulse_start(&device->pulse, config, (td_real)current_A, ticks, pairs);

@@ -152,6 +152,7 @@ void td_device_step(td_device *device, const td_readings *readings, td_output *o
         correct(&device->store.config.calibration, &seen);
         scale = device->store.config.calibration.amplifier_scale;
         device->servo.watch.hardware = device->tripped;
+        device->servo.watch.pulsing = device->pulse.left > 0;
         td_servo_answer(&device->servo, &seen, output);
         if (device->settled_ticks < INT32_MAX)
             device->settled_ticks++;

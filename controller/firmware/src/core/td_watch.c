@@ -16,7 +16,7 @@ void td_watch_start(td_watch *watch, const td_config *config)
     watch->raw_grip_N = watch->current_A = watch->expected_A = watch->step_m_s = 0;
     watch->seen = watch->gripped = false;
     watch->emergency_stop = watch->host_stop = watch->late = watch->bad_encoder = watch->bad_current = false;
-    watch->playing = watch->held = false;
+    watch->playing = watch->held = watch->pulsing = watch->wrong = false;
     watch->hardware = 0;
     memset(&watch->crosscheck, 0, sizeof watch->crosscheck);
     td_watch_forget(watch);
@@ -58,7 +58,8 @@ void td_watch_step(td_watch *watch, const td_config *config, const td_readings *
     else if (watch->missing_ticks < config->missing_limit)
         watch->missing_ticks++;
     gap = td_size(watch->current_A - expected_A);
-    if (!(playing && gap > (td_real)TD_WRONG_CURRENT_A + (td_real)TD_WRONG_CURRENT_PART * expected))
+    watch->wrong = !watch->pulsing && gap > (td_real)TD_WRONG_CURRENT_A + (td_real)TD_WRONG_CURRENT_PART * expected;
+    if (!watch->wrong)
         watch->wrong_ticks = 0;
     else if (watch->wrong_ticks < config->wrong_limit)
         watch->wrong_ticks++;
@@ -93,10 +94,14 @@ static uint32_t alike(const td_watch *w, const td_config *c)
            bit(TD_WHAT_ENCODER_STUCK, w->still_ticks >= c->still_limit || td_size(w->still_A_s) >= c->stuck_A_s ||
                                           w->crosscheck.stuck) |
            bit(TD_WHAT_NO_CURRENT, w->missing_ticks >= c->missing_limit) |
-           bit(TD_WHAT_WRONG_CURRENT, w->wrong_ticks >= c->wrong_limit) |
            bit(TD_WHAT_ACCELEROMETER_DEAD, w->crosscheck.quiet) |
            bit(TD_WHAT_GRIP_OPEN, c->has_grip && !(w->raw_grip_N >= c->grip_open_N)) |
            bit(TD_WHAT_GRIP_SHORT, c->has_grip && w->raw_grip_N > c->grip_short_N);
+}
+
+bool td_watch_is_wrong(const td_watch *watch)
+{
+    return watch->wrong_ticks >= TD_FEWEST_TICKS;
 }
 
 static bool loose(const td_watch *w, const td_config *c)
@@ -106,7 +111,7 @@ static bool loose(const td_watch *w, const td_config *c)
 
 uint32_t td_watch_trips(const td_watch *watch, const td_config *config, const td_guard *guard)
 {
-    return alike(watch, config) |
+    return alike(watch, config) | bit(TD_WHAT_WRONG_CURRENT, watch->wrong_ticks >= config->wrong_limit) |
            bit(TD_WHAT_OVER_TEMPERATURE, config->coil.present && td_guard_too_hot(guard, &config->coil)) |
            bit(TD_WHAT_GRIP_LOST, watch->held && loose(watch, config));
 }
@@ -115,5 +120,6 @@ uint32_t td_watch_remains(const td_watch *watch, const td_config *config, const 
 {
     const bool hot = config->coil.present && !(guard->winding_C <= config->coil.play_limit_C);
 
-    return alike(watch, config) | bit(TD_WHAT_OVER_TEMPERATURE, hot) | bit(TD_WHAT_GRIP_LOST, loose(watch, config));
+    return alike(watch, config) | bit(TD_WHAT_WRONG_CURRENT, watch->wrong) | bit(TD_WHAT_OVER_TEMPERATURE, hot) |
+           bit(TD_WHAT_GRIP_LOST, loose(watch, config));
 }

@@ -20,7 +20,9 @@ typedef struct {
     int32_t missing_ticks; /* duration of far less current than expected */
     int32_t still_ticks;   /* duration of current since the last count; both saturate at their limits */
     td_real still_A_s;     /* impulse of the transient since the last count */
-    int32_t wrong_ticks; /* duration of a wrong current while a transient plays */
+    bool pulsing;        /* set by the device: a test pulse runs, which td_evidence.h judges */
+    bool wrong;          /* whether the last reading of the current is further from the model's than allowed */
+    int32_t wrong_ticks; /* for how long it has been so; saturates as well */
     td_crosscheck crosscheck;
 } td_watch;
 
@@ -38,6 +40,9 @@ static inline uint32_t td_fault_bit(int what)
 {
     return (uint32_t)1 << (what - TD_FIRST_FAULT);
 }
+
+/* Whether another current than the model's has been flowing for longer than noise and rounded delays explain. */
+bool td_watch_is_wrong(const td_watch *watch);
 
 /* Faults as a set of bits, see td_fault_bit: those that send the servo to FAULT, and those that prevent the reset. */
 uint32_t td_watch_trips(const td_watch *watch, const td_config *config, const td_guard *guard);
