@@ -41,7 +41,7 @@ REQUESTS: dict[Kind, Request] = {
     Kind.COMMIT: Request(
         Kind.DONE,
         "idle, fault",
-        (R.NOT_IDLE, R.NO_CONFIGURATION, R.INCOMPLETE, R.WRONG_HASH, *_IMAGE, R.ONE_WAVEFORM),
+        (R.NOT_IDLE, R.PULSING, R.NO_CONFIGURATION, R.INCOMPLETE, R.WRONG_HASH, *_IMAGE, R.ONE_WAVEFORM),
     ),
     Kind.ARM: Request(
         Kind.DONE,

@@ -57,8 +57,9 @@ void board_hold(bool held);
 void board_wait(void);
 
 /* Bytes that have come from the host, at most `room`, and how many; and as many of these as the line takes now. Neither
- * waits. Nothing may be lost while the loop is away for 50 ms, in which it checks a library. They never wait for long: a loop
- * that is away for half a second counts as hanging. */
+ * waits. Nothing may be lost while the loop is away for 50 ms: the check of the largest library takes 28 ms of an M4F at
+ * 168 MHz, 42 ms with the ticks that interrupt it. They never wait for long: a loop that is away for half a second counts
+ * as hanging. */
 size_t board_receive(uint8_t *bytes, size_t room);
 size_t board_send(const uint8_t *bytes, size_t size);
 

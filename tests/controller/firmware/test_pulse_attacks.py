@@ -9,11 +9,11 @@ import pytest
 
 from controller.protocol import messages as m
 from controller.protocol.capacity import PULSE_LEASE_MS, PULSE_LEAST_PART, REST_BETWEEN_PULSES_S
-from controller.protocol.codes import EVENTS, LinkNotice, Reason
+from controller.protocol.codes import EVENTS, REASONS, LinkNotice, Reason
 from controller.protocol.configuration import configuration_of
 from controller.servo.settings import Settings
 from tests.benches.compiled import DT_S
-from tests.benches.device import Talker
+from tests.benches.device import IMAGE, Talker
 from tests.benches.probed import ProbedDevice
 from tests.benches.servo import AMPLIFIER
 from tests.controller.firmware.test_attacks import HARDWARE, PULSE_TICKS, WATCHED, Plant, evidence
@@ -160,3 +160,16 @@ def test_limits_are_asked_in_the_hardwares_units(start: Start, kind: str, sign: 
         assert isinstance(answer, wanted), (part, answer)
         if isinstance(answer, m.Refused):
             assert answer.reason == list(Reason).index(Reason.BEYOND_HARDWARE) + 1
+
+
+def test_no_library_is_checked_while_a_pulse_runs(start: Start) -> None:
+    """A check takes longer than a pulse, and a stop over the link would wait behind it."""
+    plant = ready(start)
+    talker = plant.talker
+    talker.done(m.Pulse(WATCHED.pulse_A, PULSE_TICKS, 0))
+    answer = talker.upload(IMAGE)
+    assert isinstance(answer, m.Refused)
+    assert REASONS[answer.reason] is Reason.PULSING
+    plant.step(PAIR_TICKS)
+    talker.heard()
+    talker.done(m.Commit())

@@ -1,5 +1,5 @@
 /* Checks of a configuration and of an image before a device activates them (controller/protocol/configuration.py,
- * image.py); the device does not trust the sender. Not for the timer's interrupt: an image takes milliseconds. */
+ * image.py); the device does not trust the sender. Not for the timer's interrupt: an image takes tens of milliseconds. */
 #ifndef TD_CHECK_H
 #define TD_CHECK_H
 

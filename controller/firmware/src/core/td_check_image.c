@@ -84,6 +84,11 @@ static bool are_sizes(const td_bank *bank)
     return true;
 }
 
+static double larger(double one, double other)
+{
+    return one > other ? one : other;
+}
+
 /* Extremes over waveforms. */
 typedef struct {
     double peak_A[2]; /* largest |command|, and largest |current| by these commands from rest */
@@ -91,24 +96,29 @@ typedef struct {
     bool ends;        /* whether each ends in zeros */
 } reach;
 
-/* Take one waveform into the extremes. */
+/* Take one waveform into the extremes. In counts and in td_real, since a library has thousands of samples: rounding in
+ * single precision is far below the one count that is left for it. */
 static void measure(reach *found, const uint8_t *at, uint32_t bits, double scale_A, const td_bank *bank,
                     const td_config *config, uint32_t tail)
 {
     const int32_t first_zero = bank->samples - (int32_t)tail;
-    const double decay = (double)config->decay;
-    double current = 0;
-    int32_t j;
+    const td_real decay = config->decay, driven = 1 - decay;
+    td_real current = 0, most = 0;
+    int32_t peak = 0, j;
+    bool ends = true;
 
-    found->count_A = scale_A > found->count_A ? scale_A : found->count_A;
     for (j = 0; j < bank->samples; j++, at += bits / 8) {
-        const double command = td_bank_count(at, bits) * scale_A;
+        const int32_t count = td_bank_count(at, bits), size = count < 0 ? -count : count;
 
-        current = (1 - decay) * command + decay * current;
-        found->peak_A[0] = fabs(command) > found->peak_A[0] ? fabs(command) : found->peak_A[0];
-        found->peak_A[1] = fabs(current) > found->peak_A[1] ? fabs(current) : found->peak_A[1];
-        found->ends = found->ends && (j < first_zero || !(fabs(command) > 0));
+        current = driven * (td_real)count + decay * current;
+        most = td_size(current) > most ? td_size(current) : most;
+        peak = size > peak ? size : peak;
+        ends = ends && (j < first_zero || count == 0);
     }
+    found->count_A = larger(found->count_A, scale_A);
+    found->peak_A[0] = larger(found->peak_A[0], peak * scale_A);
+    found->peak_A[1] = larger(found->peak_A[1], (double)most * scale_A);
+    found->ends = found->ends && (ends || !(scale_A > 0));
 }
 
 /* Check the peaks against the limits, with `room_A` for rounding; a refusal names the peak. */

@@ -6,7 +6,7 @@
  *
  * A port calls `step` in the timer's interrupt and the others outside of it. Shared data is changed only between
  * hold(context, true) and hold(context, false), which mask that interrupt for some microseconds; hashing and checking a
- * library, which take milliseconds, run without. All state is in the struct; a port needs one static td_device.
+ * library, which take tens of milliseconds, run without, and only while the amplifier is off. All state is in the struct; a port needs one static td_device.
  */
 #ifndef TD_DEVICE_H
 #define TD_DEVICE_H

@@ -20,16 +20,18 @@ static td_refusal need_silent(const td_device *device)
     return td_device_is_active(device) ? td_refuse(TD_REASON_NOT_IDLE, (double)NAN) : td_granted;
 }
 
+/* The amplifier is off, so that nothing has to be stopped while a long request is executed. */
+static td_refusal need_unpowered(const td_device *device)
+{
+    const td_refusal found = need_silent(device);
+
+    return found.reason == 0 && device->pulse.left > 0 ? td_refuse(TD_REASON_PULSING, (double)NAN) : found;
+}
+
 static td_refusal need_idle(const td_device *device)
 {
-    td_refusal found;
-
-    if (td_device_state(device) == TD_STATE_FAULT)
-        return td_refuse(TD_REASON_FAULT_LATCHED, (double)NAN);
-    found = need_silent(device);
-    if (found.reason == 0 && device->pulse.left > 0)
-        return td_refuse(TD_REASON_PULSING, (double)NAN);
-    return found;
+    return td_device_state(device) == TD_STATE_FAULT ? td_refuse(TD_REASON_FAULT_LATCHED, (double)NAN)
+                                                     : need_unpowered(device);
 }
 
 /* Too few readings show no motion, so rest requires a whole window. */
@@ -107,7 +109,7 @@ static td_refusal configure_commit(td_device *device, const uint8_t *sha256)
 
 static td_refusal commit(td_device *device)
 {
-    td_refusal found = need_silent(device);
+    td_refusal found = need_unpowered(device);
 
     if (found.reason != 0)
         return found;

@@ -26,10 +26,11 @@ static void compress(uint32_t state[8], const uint8_t *block)
         0x19a4c116u, 0x1e376c08u, 0x2748774cu, 0x34b0bcb5u, 0x391c0cb3u, 0x4ed8aa4au, 0x5b9cca4fu, 0x682e6ff3u,
         0x748f82eeu, 0x78a5636fu, 0x84c87814u, 0x8cc70208u, 0x90befffau, 0xa4506cebu, 0xbef9a3f7u, 0xc67178f2u,
     };
-    uint32_t w[16], v[8];
+    uint32_t a = state[0], b = state[1], c = state[2], d = state[3];
+    uint32_t e = state[4], f = state[5], g = state[6], h = state[7];
+    uint32_t w[16];
     int t;
 
-    memcpy(v, state, sizeof v);
     for (t = 0; t < 64; t++) {
         uint32_t sum, choice, majority, early, late;
 
@@ -41,15 +42,26 @@ static void compress(uint32_t state[8], const uint8_t *block)
             w[t & 15] += (rotated(early, 7) ^ rotated(early, 18) ^ early >> 3) + w[(t + 9) & 15] +
                          (rotated(late, 17) ^ rotated(late, 19) ^ late >> 10);
         }
-        choice = (v[4] & v[5]) ^ (~v[4] & v[6]);
-        majority = (v[0] & v[1]) ^ (v[0] & v[2]) ^ (v[1] & v[2]);
-        sum = v[7] + (rotated(v[4], 6) ^ rotated(v[4], 11) ^ rotated(v[4], 25)) + choice + constants[t] + w[t & 15];
-        memmove(v + 1, v, 7 * sizeof *v);
-        v[4] += sum;
-        v[0] = sum + (rotated(v[1], 2) ^ rotated(v[1], 13) ^ rotated(v[1], 22)) + majority;
+        choice = (e & f) ^ (~e & g);
+        majority = (a & b) ^ (a & c) ^ (b & c);
+        sum = h + (rotated(e, 6) ^ rotated(e, 11) ^ rotated(e, 25)) + choice + constants[t] + w[t & 15];
+        h = g;
+        g = f;
+        f = e;
+        e = d + sum;
+        d = c;
+        c = b;
+        b = a;
+        a = sum + (rotated(b, 2) ^ rotated(b, 13) ^ rotated(b, 22)) + majority;
     }
-    for (t = 0; t < 8; t++)
-        state[t] += v[t];
+    state[0] += a;
+    state[1] += b;
+    state[2] += c;
+    state[3] += d;
+    state[4] += e;
+    state[5] += f;
+    state[6] += g;
+    state[7] += h;
 }
 
 void td_sha256_start(td_sha256 *hash)
