@@ -44,6 +44,7 @@ WRAPPED += ("td_device_step", "td_device_begin", "td_device_receive")
 SECTIONS = ("-O2", "-ffunction-sections", "-fdata-sections")
 PROGRAMS = {"runs": ("td_replay.c", "replay_main.c"), "talks": ("td_probe.c", "talk_main.c")}
 MOST_BEFORE_COMMAND = 500  # instructions, of the device beside its servo
+MOST_HELD = 2400  # instructions for which the loop keeps the tick out: 21 us, a fifth of a period
 PERIOD_CYCLES = 16_800  # of a servo period of 0.1 ms at 168 MHz, the clock of common Cortex-M4F
 # From ARM's tables without wait states, over ticks of more than 9000 instructions; test_firmware_cycles.py counts.
 CYCLES_PER_INSTRUCTION = 1.45
@@ -235,6 +236,9 @@ def misses(found: dict[Target, Found]) -> list[str]:
             said.append(f"{target.name}: other answers than the host's build")
         if before > MOST_BEFORE_COMMAND:
             said.append(f"{target.name}: {before} instructions beside the servo before the command is out")
+        held = f.counts["talks held"][2]
+        if held > MOST_HELD:
+            said.append(f"{target.name}: {held} instructions for which the interrupt is held")
         if target.processor == M4F and f.longest_tick() > PERIOD_CYCLES:
             said.append(f"{target.name}: a tick of {f.longest_tick()} cycles, of {PERIOD_CYCLES} that there are")
     return said

@@ -57,15 +57,17 @@ def test_a_target_answers_as_the_host_does(target: Target, records: dict[str, Pa
 
 
 @pytest.mark.parametrize(
-    ("command", "device", "said"),
+    ("command", "device", "held", "said"),
     [
-        (500, 10_000, ""),
-        (540, 10_000, "540 instructions beside the servo before the command is out"),
-        (500, 16_800, "a tick of"),
+        (500, 10_000, 2400, ""),
+        (540, 10_000, 2400, "540 instructions beside the servo before the command is out"),
+        (500, 10_000, 2440, "2440 instructions for which the interrupt is held"),
+        (500, 16_800, 2400, "a tick of"),
     ],
 )
-def test_a_tick_that_is_too_long_is_told(command: int, device: int, said: str) -> None:
-    found = Found(counts={"talks command_own": (1, 1.0, command), "talks device": (1, 1.0, device)})
+def test_a_tick_that_is_too_long_or_kept_out_is_told(command: int, device: int, held: int, said: str) -> None:
+    most = {"command_own": command, "device": device, "held": held}
+    found = Found(counts={f"talks {name}": (1, 1.0, instructions) for name, instructions in most.items()})
     lines = misses({TARGETS[0]: found})
     assert len(lines) == (1 if said else 0)
     assert said in "".join(lines)

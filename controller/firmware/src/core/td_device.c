@@ -61,25 +61,52 @@ bool td_device_is_heard(const td_device *device)
 
 /* ------------------------------------------------------------------------------------------------ bytes out */
 
-size_t td_device_put(td_device *device, uint8_t kind, uint16_t sequence, uint32_t session, size_t body_size)
+/* A frame to be sent, whose body is in td_device_body. It is decided and written between hold(true) and hold(false), and
+ * encoded after that, since encoding takes the longest by far. */
+typedef struct {
+    enum { NOTHING, ONCE, KEPT, REPEATED } how; /* KEPT: a reply that is sent again if its request is; REPEATED: it is */
+    uint8_t kind;
+    uint16_t sequence;
+    uint32_t session;
+    size_t body_size;
+} reply;
+
+static const reply no_reply = {NOTHING, 0, 0, 0, 0}, same_reply = {REPEATED, 0, 0, 0, 0};
+
+static reply once(const td_device *device, uint8_t kind, uint16_t sequence, size_t body_size)
+{
+    const reply made = {ONCE, kind, sequence, device->session, body_size};
+
+    return made;
+}
+
+static reply kept(const td_device *device, uint8_t kind, uint16_t sequence, size_t body_size)
+{
+    reply made = once(device, kind, sequence, body_size);
+
+    made.how = KEPT;
+    return made;
+}
+
+static void put(td_device *device, const reply *made)
 {
     uint8_t *header = device->payload;
     size_t size;
 
-    header[TD_HEADER_KIND] = kind;
+    if (made->how == REPEATED)
+        td_output_put(&device->output, device->reply, device->reply_size);
+    if (made->how == NOTHING || made->how == REPEATED)
+        return;
+    header[TD_HEADER_KIND] = made->kind;
     header[TD_HEADER_FLAGS] = 0;
-    td_put_u16(header + TD_HEADER_SEQUENCE, sequence);
-    td_put_u32(header + TD_HEADER_SESSION, session);
-    size = td_wire_encode(device->payload, TD_HEADER_BYTES + body_size, device->frame);
+    td_put_u16(header + TD_HEADER_SEQUENCE, made->sequence);
+    td_put_u32(header + TD_HEADER_SESSION, made->session);
+    size = td_wire_encode(device->payload, TD_HEADER_BYTES + made->body_size, device->frame);
     td_output_put(&device->output, device->frame, size);
-    return size;
-}
-
-/* Send a reply and keep it, since it is repeated if its request is. */
-static void answer(td_device *device, uint8_t kind, uint16_t sequence, size_t body_size)
-{
-    device->reply_size = td_device_put(device, kind, sequence, device->session, body_size);
-    memcpy(device->reply, device->frame, device->reply_size);
+    if (made->how == KEPT) {
+        device->reply_size = size;
+        memcpy(device->reply, device->frame, size);
+    }
 }
 
 uint8_t td_device_evidence(const td_device *device)
@@ -186,15 +213,16 @@ static size_t take_due(td_device *device, uint8_t *kind)
 size_t td_device_send(td_device *device, uint8_t *bytes, size_t room)
 {
     uint8_t kind = 0;
-    size_t body_size;
+    reply due;
 
     while (device->output.size < room && td_output_has_room(&device->output)) {
         hold(device, true);
-        body_size = take_due(device, &kind);
+        due = once(device, 0, 0, take_due(device, &kind));
         hold(device, false);
-        if (body_size == 0)
+        if (due.body_size == 0)
             break;
-        td_device_put(device, kind, 0, device->session, body_size);
+        due.kind = kind;
+        put(device, &due);
     }
     return td_output_take(&device->output, bytes, room);
 }
@@ -236,13 +264,11 @@ static bool fits(uint8_t kind, size_t size)
     return false;
 }
 
-static void greet(td_device *device, uint16_t sequence, uint32_t session, uint32_t nonce)
+static reply greet(td_device *device, uint16_t sequence, uint32_t session, uint32_t nonce)
 {
     if (device->open && session == device->session) {
         /* A repeated or late copy of the HELLO that opened this session. */
-        if (sequence == device->sequence)
-            td_output_put(&device->output, device->reply, device->reply_size);
-        return;
+        return sequence == device->sequence ? same_reply : no_reply;
     }
     /* The lease belonged to the previous session. */
     td_device_give_up(device);
@@ -253,7 +279,7 @@ static void greet(td_device *device, uint16_t sequence, uint32_t session, uint32
     td_events_restart(&device->events);
     td_records_restart(&device->records, 0, 0, NULL, 0);
     write_hello_reply(device, nonce);
-    answer(device, TD_KIND_HELLO_REPLY, sequence, TD_HELLO_REPLY_BYTES);
+    return kept(device, TD_KIND_HELLO_REPLY, sequence, TD_HELLO_REPLY_BYTES);
 }
 
 static void write_done(td_device *device, uint8_t kind)
@@ -276,72 +302,71 @@ static void write_refused(td_device *device, uint8_t kind, const td_refusal *ref
     td_put_f64(body + TD_REFUSED_VALUE, refusal->value);
 }
 
-static void request(td_device *device, uint8_t kind, uint16_t sequence, const uint8_t *body, size_t size)
+static reply request(td_device *device, uint8_t kind, uint16_t sequence, const uint8_t *body, size_t size)
 {
     const uint16_t newer = (uint16_t)(sequence - device->sequence);
     td_refusal refusal;
 
-    if (newer == 0) {
-        td_output_put(&device->output, device->reply, device->reply_size);
-        return;
-    }
+    if (newer == 0)
+        return same_reply;
     if (newer >= 0x8000u) {
         device->dropped_frames++;
-        return;
+        return no_reply;
     }
     refusal = td_request(device, kind, body, size);
     device->sequence = sequence;
     if (refusal.reason != 0) {
         write_refused(device, kind, &refusal);
-        answer(device, TD_KIND_REFUSED, sequence, TD_REFUSED_BYTES);
-    } else if (kind == TD_KIND_UPLOAD_BEGIN) {
-        td_put_u32(td_device_body(device) + TD_UPLOAD_READY_OFFSET, (uint32_t)device->store.arrived);
-        answer(device, TD_KIND_UPLOAD_READY, sequence, TD_UPLOAD_READY_BYTES);
-    } else if (kind == TD_KIND_EVIDENCE) {
-        write_evidence(device);
-        answer(device, TD_KIND_EVIDENCE_REPLY, sequence, TD_EVIDENCE_REPLY_BYTES);
-    } else {
-        write_done(device, kind);
-        answer(device, TD_KIND_DONE, sequence, TD_DONE_BYTES);
+        return kept(device, TD_KIND_REFUSED, sequence, TD_REFUSED_BYTES);
     }
+    if (kind == TD_KIND_UPLOAD_BEGIN) {
+        td_put_u32(td_device_body(device) + TD_UPLOAD_READY_OFFSET, (uint32_t)device->store.arrived);
+        return kept(device, TD_KIND_UPLOAD_READY, sequence, TD_UPLOAD_READY_BYTES);
+    }
+    if (kind == TD_KIND_EVIDENCE) {
+        write_evidence(device);
+        return kept(device, TD_KIND_EVIDENCE_REPLY, sequence, TD_EVIDENCE_REPLY_BYTES);
+    }
+    write_done(device, kind);
+    return kept(device, TD_KIND_DONE, sequence, TD_DONE_BYTES);
 }
 
-static void take_data(td_device *device, const uint8_t *body, size_t size)
+static reply take_data(td_device *device, const uint8_t *body, size_t size)
 {
     if (!td_device_is_active(device))
         td_store_take(&device->store, td_get_u32(body + TD_DATA_OFFSET), body + TD_DATA_DATA, size - TD_DATA_BYTES);
     td_put_u32(td_device_body(device) + TD_ACK_WANTED, (uint32_t)device->store.arrived);
-    td_device_put(device, TD_KIND_ACK, 0, device->session, TD_ACK_BYTES);
+    return once(device, TD_KIND_ACK, 0, TD_ACK_BYTES);
 }
 
-static void renew_lease(td_device *device, uint16_t sequence, const uint8_t *body)
+static reply renew_lease(td_device *device, uint16_t sequence, const uint8_t *body)
 {
-    uint8_t *reply = td_device_body(device);
+    uint8_t *said = td_device_body(device);
 
     device->lease_left = device->lease_ticks;
-    td_put_u64(reply + TD_LEASE_REPLY_HOST_US, td_get_u64(body + TD_LEASE_HOST_US));
-    td_put_u64(reply + TD_LEASE_REPLY_TICK, device->tick);
-    reply[TD_LEASE_REPLY_STATE] = td_device_state(device);
-    reply[TD_LEASE_REPLY_FAULT] = td_device_fault(device);
-    td_device_put(device, TD_KIND_LEASE_REPLY, sequence, device->session, TD_LEASE_REPLY_BYTES);
+    td_put_u64(said + TD_LEASE_REPLY_HOST_US, td_get_u64(body + TD_LEASE_HOST_US));
+    td_put_u64(said + TD_LEASE_REPLY_TICK, device->tick);
+    said[TD_LEASE_REPLY_STATE] = td_device_state(device);
+    said[TD_LEASE_REPLY_FAULT] = td_device_fault(device);
+    return once(device, TD_KIND_LEASE_REPLY, sequence, TD_LEASE_REPLY_BYTES);
 }
 
 /* Handle an intact frame of this session, with a valid length. */
-static void handle(td_device *device, uint8_t kind, uint16_t sequence, const uint8_t *body, size_t size)
+static reply handle(td_device *device, uint8_t kind, uint16_t sequence, const uint8_t *body, size_t size)
 {
     device->silent_ticks = 0;
     if (kind == TD_KIND_LEASE)
-        renew_lease(device, sequence, body);
-    else if (kind == TD_KIND_DATA)
-        take_data(device, body, size);
-    else if (kind == TD_KIND_EVENT_ACK)
-        td_events_acknowledge(&device->events, td_get_u32(body + TD_EVENT_ACK_WANTED));
-    else
-        request(device, kind, sequence, body, size);
+        return renew_lease(device, sequence, body);
+    if (kind == TD_KIND_DATA)
+        return take_data(device, body, size);
+    if (kind != TD_KIND_EVENT_ACK)
+        return request(device, kind, sequence, body, size);
+    td_events_acknowledge(&device->events, td_get_u32(body + TD_EVENT_ACK_WANTED));
+    return no_reply;
 }
 
 /* Whether a greeting is of another protocol. Another version of ours is told this one's; foreign ones get no reply. */
-static bool other_protocol(td_device *device, const uint8_t *payload, size_t size)
+static bool other_protocol(td_device *device, const uint8_t *payload, size_t size, reply *made)
 {
     const uint8_t kind = payload[TD_HEADER_KIND], *body = payload + TD_HEADER_BYTES;
 
@@ -352,47 +377,51 @@ static bool other_protocol(td_device *device, const uint8_t *payload, size_t siz
     if (td_get_u32(body + TD_HELLO_MAGIC) != TD_MAGIC || kind != TD_KIND_HELLO)
         return true;
     write_hello_reply(device, 0);
-    td_device_put(device, TD_KIND_HELLO_REPLY, td_get_u16(payload + TD_HEADER_SEQUENCE),
-                  td_get_u32(payload + TD_HEADER_SESSION), TD_HELLO_REPLY_BYTES);
+    *made = once(device, TD_KIND_HELLO_REPLY, td_get_u16(payload + TD_HEADER_SEQUENCE), TD_HELLO_REPLY_BYTES);
+    made->session = td_get_u32(payload + TD_HEADER_SESSION);
     return true;
 }
 
-static void take_payload(td_device *device, const uint8_t *payload, size_t size)
+static reply take_payload(td_device *device, const uint8_t *payload, size_t size)
 {
     const uint8_t kind = payload[TD_HEADER_KIND], *body = payload + TD_HEADER_BYTES;
+    reply made = no_reply;
     uint16_t sequence;
     uint32_t session;
 
     if (size < TD_HEADER_BYTES || payload[TD_HEADER_FLAGS] != 0) {
         device->dropped_frames++;
-        return;
+        return no_reply;
     }
     size -= TD_HEADER_BYTES;
     sequence = td_get_u16(payload + TD_HEADER_SEQUENCE);
     session = td_get_u32(payload + TD_HEADER_SESSION);
-    if (other_protocol(device, payload, size))
-        return;
+    if (other_protocol(device, payload, size, &made))
+        return made;
     if (!fits(kind, size))
         device->dropped_frames++;
     else if (kind == TD_KIND_EMERGENCY_STOP)
         device->stop_wanted = true;
     else if (kind == TD_KIND_HELLO)
-        greet(device, sequence, session, td_get_u32(body + TD_HELLO_NONCE));
+        made = greet(device, sequence, session, td_get_u32(body + TD_HELLO_NONCE));
     else if (!device->open || session != device->session)
         device->dropped_frames++;
     else
-        handle(device, kind, sequence, body, size);
+        made = handle(device, kind, sequence, body, size);
+    return made;
 }
 
 void td_device_receive(td_device *device, const uint8_t *bytes, size_t size)
 {
     for (; size > 0; size--, bytes++) {
         const size_t payload_size = td_decoder_take(&device->decoder, *bytes);
+        reply made;
 
         if (payload_size == 0)
             continue;
         hold(device, true);
-        take_payload(device, device->decoder.held, payload_size);
+        made = take_payload(device, device->decoder.held, payload_size);
         hold(device, false);
+        put(device, &made);
     }
 }
