@@ -72,7 +72,8 @@ class Hardware:
     Attributes
     ----------
     dt_s : servo period of the timer.
-    current_A : largest true current, for every amplifier pole in the range below.
+    current_A : largest true current, for every amplifier pole in the range below and holds of exactly one period;
+        td_ring.h has the bound for holds that are longer, but not yet late.
     command_A : largest command to the amplifier.
     pulse_A, pulse_s : largest size and length of a test pulse.
     pole_least_Hz, pole_most_Hz : range of the amplifier's pole.

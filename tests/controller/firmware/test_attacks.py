@@ -408,3 +408,31 @@ def test_a_surface_that_moves_plays_no_contact_that_the_stylus_did_not_make(star
             talker.tell(m.Surface(REST.encoder_counts - 0.5 * tick + 3.0))
         states.add(talker.step(1, replace(REST, encoder_counts=REST.encoder_counts - tick // 2)).state)
     assert State.PLAYING not in states
+
+
+def test_holds_that_are_not_yet_late_pass_the_limit_by_no_more_than_is_stated(start: Start) -> None:
+    """The steepest rise that the limits allow, its two steps held for almost one and a half periods each."""
+    most_A, limit_A = 6.0, 4.0
+    hardware = replace(HARDWARE, current_A=limit_A, command_A=most_A)
+    fast = math.exp(-2 * math.pi * hardware.pole_most_Hz * DT_S)
+    last_A = most_A  # up to the limit in two steps from its opposite: first as far as this one needs
+    first_A = ((limit_A - (1 - fast) * last_A) / fast + fast * limit_A) / (1 - fast)
+    command = np.zeros((1, 1, 200))
+    command[..., 2:40], command[..., 40], command[..., 41], command[..., 42:100] = -limit_A, first_A, last_A, limit_A
+    image = image_of(replace(smooth_bank(1, 1, 200), command_A=command), DT_S, EXCITED.lead_s, 20)
+    amplifier = replace(AMPLIFIER, pole_Hz=hardware.pole_most_Hz, command_limit=most_A, delay_s=0.0)
+    settings = replace(EXCITED, amplifier=amplifier, stuck_A_s=1e3)
+    talker = (
+        Talker(start(hardware=hardware, heat_C=(30.0, 30.0))).configured(configuration_of(settings)).loaded(image)
+    )
+    talker.done(arm(settings, image), m.Start(0))
+    flows_A, found_A = 0.0, []
+    for _ in range(120):
+        output = talker.step(1, replace(REST, current_A=flows_A))
+        rises = output.command_A > 0.99 * first_A
+        keep = fast ** (1.49 if rises else 1.0)
+        flows_A = keep * flows_A + (1 - keep) * output.command_A
+        found_A.append(flows_A)
+    long = fast**1.5
+    bound_A = (fast - long) * ((most_A - limit_A) / fast + long / (1 - long) * (most_A + limit_A))
+    assert 0.7 * bound_A < max(found_A) - limit_A < bound_A
