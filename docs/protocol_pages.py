@@ -104,7 +104,8 @@ device. Of another version of the protocol a device answers with its own, and th
 firmware to one version. Each request has the sequence of the one before plus 1, modulo 2^16, and one is open at a
 time: it is answered with the same sequence, by DONE, by REFUSED with a reason, or as the table says. The same
 sequence again gets the same answer and is not carried out twice. LEASE, DATA and EVENT_ACK stand beside that:
-their sequence is not looked at.
+their sequence is not looked at. Instead the host_us of a LEASE has to grow, so that an old one that something on
+the way repeats keeps no device armed.
 
 To play: HELLO, CONFIGURE in parts, CONFIGURE_COMMIT, UPLOAD_BEGIN, DATA (at most `upload_frames` ahead of the last
 ACK), COMMIT, then ARM, and LEASE at least every `lease_ms`. A device that is not simulated arms only with evidence

@@ -150,7 +150,8 @@ class Arm(Packed):
 class Lease(Packed):
     """Heartbeat of the host: without it the device disarms after `lease_ms` while ARMED or PLAYING.
 
-    Test pulses end after `capacity.PULSE_LEASE_MS` without one.
+    Test pulses end after `capacity.PULSE_LEASE_MS` without one. host_us : clock of the host; a LEASE whose clock has
+    not advanced since the one before, in this session, renews nothing and gets no answer.
     """
 
     host_us: U64

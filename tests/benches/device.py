@@ -129,7 +129,7 @@ class Talker:
 
     def __init__(self, device: ProbedDevice | None = None) -> None:
         self.device = started(7) if device is None else device
-        self.decoder, self.sequence, self.tick = Decoder(), 1, 0
+        self.decoder, self.sequence, self.tick, self.host_us = Decoder(), 1, 0, 0
         self.put(m.Hello(m.MAGIC, m.PROTOCOL, 5))
 
     def put(self, message: Packed, *, sequence: int | None = None, session: int = 9) -> list[Packed]:
@@ -137,6 +137,11 @@ class Talker:
         number = self.sequence if sequence is None else sequence
         self.device.receive(encode(m.Frame(number, session, message).payload()))
         return self.heard()
+
+    def lease(self) -> m.Lease:
+        """The next heartbeat of a host whose clock goes on."""
+        self.host_us += 1
+        return m.Lease(self.host_us)
 
     def heard(self) -> list[Packed]:
         return [m.read_frame(payload).message for payload in self.decoder.feed(self.device.bytes_to_send())]

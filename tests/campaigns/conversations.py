@@ -140,7 +140,7 @@ class Host:
 
     def __init__(self, random: Random) -> None:
         self.random = random
-        self.session, self.sequence = 1, 0
+        self.session, self.sequence, self.host_us = 1, 0, 0
         self.acknowledges = bool(random.uniform() < 0.7)
         amplifier = draw_amplifier(random)
         self.settings = draw_settings(random, amplifier, free=False)
@@ -161,6 +161,11 @@ class Host:
             sequence = self.sequence
         payload = m.Frame(sequence, self.session if session is None else session, message).payload()
         return encode(payload)
+
+    def lease(self, drawn: int, *, sequence: int | None = None) -> bytes:
+        """A heartbeat, by a sixteenth of the draws an old one that comes again."""
+        self.host_us += 1 + drawn // 2**20 if drawn % 16 else 0
+        return self.frame(m.Lease(self.host_us), sequence=sequence)
 
     def hello(self) -> list[bytes]:
         self.session = int(self.random.integers(1 << 32))
@@ -190,7 +195,7 @@ class Host:
         evidence = self.frame(m.Evidence())
         start = [*self.hello(), *self.configure(self.configuration), *self.upload(self.image)]
         # Time passes between them: a device knows of a rest only after it has read for a while.
-        meanwhile = [self.frame(m.Lease(0), sequence=0) for _ in range(60)]
+        meanwhile = [self.lease(1, sequence=0) for _ in range(60)]
         return [*start, self.frame(m.Surface(0.0)), evidence, *meanwhile, *self.arm()]
 
     def odd_arm(self) -> list[bytes]:
@@ -227,7 +232,7 @@ class Host:
         number = float(random.choice([*NUMBERS, 0.05, -0.1, 0.101]))
         acknowledges = 2.0 if self.acknowledges else 0.0
         things: tuple[tuple[float, Callable[[], list[bytes]]], ...] = (
-            (8, lambda: [frame(m.Lease(int(random.integers(1 << 40))))]),
+            (8, lambda: [self.lease(int(random.integers(1 << 40)))]),
             (acknowledges, lambda: [frame(m.EventAck(int(random.integers(40))))]),
             (1.0, self.bring_up),
             (0.5, self.hello),

@@ -170,7 +170,7 @@ def tapped(given: Payload, world: Broken, speed_m_s: float, single: bool) -> See
             talker.done(armed)
             world.person.tap(speed_m_s)
         if tick % LEASE_TICKS == 0:
-            talker.tell(m.Lease(0))
+            talker.tell(talker.lease())
         readings = world.readings(tick)
         if begun:
             seen.truth_m.append(float(world._x[Z1]))

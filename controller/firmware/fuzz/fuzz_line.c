@@ -310,8 +310,10 @@ void one_number(uint8_t kind)
 
 void lease(void)
 {
-    const uint8_t body[TD_LEASE_BYTES] = {0};
+    static uint64_t host_us;
+    uint8_t body[TD_LEASE_BYTES];
 
+    td_put_u64(body + TD_LEASE_HOST_US, ++host_us);
     say(TD_KIND_LEASE, body, sizeof body);
 }
 

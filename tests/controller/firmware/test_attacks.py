@@ -90,7 +90,7 @@ class Plant:
         amplifier, monitor, encoder, accelerometer = self.gains
         for tick in range(ticks):
             if self.leases and tick % LEASE_TICKS == 0:
-                self.talker.tell(m.Lease(0))
+                self.talker.tell(self.talker.lease())
             counts = math.floor((5e-3 + encoder * self.z) / SETTINGS.count_m + 0.5)
             readings = Readings(0, counts, 3.0, monitor * self.true_A, accelerometer * PUSH * self.true_A)
             self.output = self.talker.step(1, readings)
@@ -180,7 +180,7 @@ def played(talker: Talker, plant: Plant, settings: Settings, image: bytes, times
     for _ in range(times):
         if plant.output.state is State.IDLE:
             talker.tell(arm(settings, image))
-        talker.tell(m.Lease(0), m.Start(0))
+        talker.tell(talker.lease(), m.Start(0))
         plant.step(ticks)
         talker.heard()
 
@@ -198,7 +198,7 @@ def test_a_configuration_without_a_coil_does_not_burn_the_motor(start: Start) ->
     for _ in range(7):  # the fifth ends too hot
         if plant.output.state is State.IDLE:
             talker.tell(arm(settings, image))
-        talker.tell(m.Lease(0), m.Start(0))
+        talker.tell(talker.lease(), m.Start(0))
         for _ in range(5000):
             plant.z = plant.speed = 0.0
             plant.step(1)
@@ -382,11 +382,11 @@ def test_a_surface_that_moves_over_the_stylus_engages_no_wall(start: Start) -> N
     talker.configured(configuration_of(walled)).loaded()
     talker.done(arm(walled, IMAGE))
     talker.step(200)
-    talker.tell(m.Lease(0))
+    talker.tell(talker.lease())
     for counts in (REST.encoder_counts + 80, REST.encoder_counts - 80, REST.encoder_counts + 400):
         talker.done(m.Surface(float(counts)))
         commands = [talker.step().command_A for _ in range(200)]
-        talker.tell(m.Lease(0))
+        talker.tell(talker.lease())
         if counts > REST.encoder_counts:
             assert not np.any(commands)
     # The stylus goes out by itself and comes back: then the wall pushes, as it has to.

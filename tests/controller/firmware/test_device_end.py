@@ -87,6 +87,23 @@ def test_sequence_numbers_go_round() -> None:
     assert bench.put(m.Disarm(), sequence=64_000) == []
 
 
+@pytest.mark.parametrize("host_us", [0, 7, 2**64 - 1])
+def test_a_lease_that_comes_again_keeps_nothing_armed(host_us: int) -> None:
+    """Neither the same frame for ever nor an older one; a clock at its end renews to the end."""
+    bench = Talker().ready()
+    bench.done(ARM)
+    (first,) = (x for x in bench.put(m.Lease(host_us)) if isinstance(x, m.LeaseReply))
+    assert first.host_us == host_us
+    for sequence in range(1, 22):
+        bench.step(100)
+        stale = [m.Lease(host_us), m.Lease(host_us // 2)] if host_us < 2**64 - 1 else [m.Lease(host_us - 1)]
+        assert not any(isinstance(x, m.LeaseReply) for lease in stale for x in bench.put(lease, sequence=sequence))
+    assert bench.device.state is State.IDLE
+    # A new session is a new clock.
+    bench.put(m.Hello(m.MAGIC, m.PROTOCOL, 6), session=10, sequence=1)
+    assert [x.host_us for x in bench.put(m.Lease(0), session=10) if isinstance(x, m.LeaseReply)] == [0]
+
+
 def test_a_late_hello_of_the_same_session_does_not_disarm() -> None:
     bench = Talker().ready()
     bench.done(ARM)
@@ -180,7 +197,7 @@ def test_events_are_repeated_until_acknowledged_and_only_while_somebody_listens(
     bench.heard()
     bench.step(5000)
     assert bench.heard() == []
-    bench.put(m.Lease(0))
+    bench.put(bench.lease())
     bench.step(800)
     assert first.number in [x.number for x in bench.heard() if isinstance(x, m.Event)]
     bench.put(m.EventAck(1))

@@ -45,7 +45,7 @@ def test_a_host_that_asks_for_pulses_in_every_tick_gets_rests_between_them(start
     flowing = []
     for tick in range(4 * PAIR_TICKS):
         if tick % 50 == 0:
-            plant.talker.tell(m.Pulse(WATCHED.pulse_A, PULSE_TICKS, pairs), m.Lease(0))
+            plant.talker.tell(m.Pulse(WATCHED.pulse_A, PULSE_TICKS, pairs), plant.talker.lease())
         plant.step(1)
         flowing.append(plant.output.command_A != 0)
     edges = np.flatnonzero(np.diff(np.array(flowing, dtype=int)))

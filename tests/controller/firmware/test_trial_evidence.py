@@ -88,7 +88,7 @@ def tried(
     while State.PLAYING not in hand.states and hand.tick < 15_000:
         hand.step(1)
         if hand.tick % 500 == 0:
-            talker.tell(m.Lease(0))
+            talker.tell(talker.lease())
             talker.heard()
     while hand.output.state is State.PLAYING:
         hand.step(1)

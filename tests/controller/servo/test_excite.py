@@ -207,7 +207,7 @@ def test_a_repeated_start_starts_nothing_twice() -> None:
     bench.done(ARM, m.Start(0))
     for tick in range(SAMPLES + 2):
         if tick % 50 == 0:
-            bench.put(m.Lease(0))
+            bench.put(bench.lease())
         bench.step()
     bench.heard()
     (again,) = bench.put(m.Start(0))
@@ -223,7 +223,7 @@ def test_telemetry_of_every_tick_holds_the_whole_of_it() -> None:
     records, events = [], []
     outputs: list[Output] = []
     for _ in range(SAMPLES + 200):
-        bench.put(m.Lease(0))
+        bench.put(bench.lease())
         outputs.append(bench.step())
         for said in bench.heard():
             if isinstance(said, m.TelemetryData):
@@ -242,7 +242,7 @@ def test_telemetry_of_every_tick_holds_the_whole_of_it() -> None:
 def test_a_silent_host_ends_it_within_the_lease() -> None:
     bench = ready()
     bench.done(replace(ARM, lease_ms=50))
-    bench.put(m.Lease(0))
+    bench.put(bench.lease())
     bench.step(490)
     bench.done(m.Start(0))
     outputs = [bench.step() for _ in range(200)]

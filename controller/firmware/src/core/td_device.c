@@ -276,6 +276,7 @@ static reply greet(td_device *device, uint16_t sequence, uint32_t session, uint3
     device->session = session;
     device->sequence = sequence;
     device->silent_ticks = 0;
+    device->lease_us = 0;
     td_events_restart(&device->events);
     td_records_restart(&device->records, 0, 0, NULL, 0);
     write_hello_reply(device, nonce);
@@ -341,10 +342,17 @@ static reply take_data(td_device *device, const uint8_t *body, size_t size)
 
 static reply renew_lease(td_device *device, uint16_t sequence, const uint8_t *body)
 {
+    const uint64_t host_us = td_get_u64(body + TD_LEASE_HOST_US);
     uint8_t *said = td_device_body(device);
 
+    /* An old frame that something on the way repeats is no sign of a host that lives. */
+    if (host_us < device->lease_us) {
+        device->dropped_frames++;
+        return no_reply;
+    }
+    device->lease_us = host_us < UINT64_MAX ? host_us + 1 : UINT64_MAX;
     device->lease_left = device->lease_ticks;
-    td_put_u64(said + TD_LEASE_REPLY_HOST_US, td_get_u64(body + TD_LEASE_HOST_US));
+    td_put_u64(said + TD_LEASE_REPLY_HOST_US, host_us);
     td_put_u64(said + TD_LEASE_REPLY_TICK, device->tick);
     said[TD_LEASE_REPLY_STATE] = td_device_state(device);
     said[TD_LEASE_REPLY_FAULT] = td_device_fault(device);

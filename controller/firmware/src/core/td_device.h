@@ -52,6 +52,7 @@ typedef struct {
     uint8_t stop_latched; /* and what it is, TD_WHAT_..., 0 without */
     bool trial;                                   /* armed for the tap of the bring-up check */
     int32_t lease_ticks, lease_left;
+    uint64_t lease_us; /* least host_us of the next LEASE of this session */
     int32_t silent_ticks, silence_ticks; /* since the host was heard, and from how many on it counts as gone */
     int32_t settled_ticks; /* since the approach began to be looked at anew: before a whole window nobody is at rest */
     td_pulse pulse;
