@@ -2,6 +2,7 @@
 
 import re
 import shutil
+import struct
 import subprocess
 from pathlib import Path
 
@@ -45,20 +46,20 @@ def arm(*words: object, folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
 
+def tool(name: str, *words: object, folder: Path) -> str:
+    """What a tool of the compiler's says."""
+    command = [ARM.replace("gcc", name), *map(str, words)]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True).stdout
+
+
 @pytest.mark.parametrize("board", BOARDS, ids=lambda path: path.stem)
 def test_a_board_has_all_functions_and_no_others(board: Path, tmp_path: Path) -> None:
     """The template, the board and its emulation are the same list; what a compiler warns of is an error."""
     done = arm(*M4F, *STRICT, "-DTRANSOPT_PORT", f"-I{SRC}", "-c", board, "-o", "board.o", folder=tmp_path)
     assert done.returncode == 0, done.stderr
-    said = subprocess.run(
-        [ARM.replace("gcc", "nm"), "--defined-only", "board.o"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    said = tool("nm", "--defined-only", "board.o", folder=tmp_path)
     declared = set(re.findall(r"^[a-z].*?\b(board_\w+)\(", (PORT.parent / "board.h").read_text(), re.MULTILINE))
-    assert set(re.findall(r" T (board_\w+)", said.stdout)) == declared
+    assert set(re.findall(r" T (board_\w+)", said)) == declared
     assert len(declared) > 10
 
 
@@ -122,6 +123,24 @@ def linked(size: int, folder: Path) -> subprocess.CompletedProcess[str]:
     (folder / "main.c").write_text(PROGRAM.format(bytes=size))
     link = ("-nostartfiles", "-T", PORT / "memory.ld")
     return arm(*M4F, "-O2", "main.c", PORT / "startup.c", *link, "-o", "image.elf", folder=folder)
+
+
+def test_a_stopped_crystal_and_a_falling_supply_end_in_the_trap(tmp_path: Path) -> None:
+    """By the vectors of the non-maskable interrupt and of the supply's detector."""
+    assert linked(64, tmp_path).returncode == 0
+    (place,) = re.findall(r"^(\w+) \w td_trap$", tool("nm", "image.elf", folder=tmp_path), re.MULTILINE)
+    tool("objcopy", "-O", "binary", "image.elf", "image.bin", folder=tmp_path)
+    image = (tmp_path / "image.bin").read_bytes()
+    nmi, detector = 2, 16 + 1
+    thumb = 1
+    assert {struct.unpack_from("<I", image, 4 * entry)[0] for entry in (nmi, detector)} == {int(place, 16) | thumb}
+
+
+def test_bytes_of_the_line_are_read_behind_the_counter_that_says_they_came(tmp_path: Path) -> None:
+    flags = ("-O2", "-std=c11", "-DTRANSOPT_PORT", f"-I{SRC}", "-c", PORT / "board.c", "-o", "board.o")
+    assert arm(*M4F, *flags, folder=tmp_path).returncode == 0
+    code = tool("objdump", "-d", "--disassemble=board_receive", "board.o", folder=tmp_path)
+    assert code.index("ldr") < code.index("dmb") < code.index("ldrb")
 
 
 def test_an_image_that_is_larger_than_the_memory_of_the_board_does_not_link(tmp_path: Path) -> None:

@@ -57,7 +57,20 @@ static void set_function(uint32_t port, uint32_t pin, uint32_t function)
     set_mode(port, pin, GPIO_OTHER);
 }
 
-/* Without its crystal the processor has no time that is good for anything: it stays here, outputs safe. */
+/* Below 2.7 V neither the flash keeps up with the processor nor do the converters mean what they say. The detector needs
+ * no option bytes, which a brown-out reset would; its interrupt is above the tick's. */
+static void start_supply_watch(void)
+{
+    PWR_CR |= PWR_CR_PLS_2_7_V | PWR_CR_PVDE;
+    while (PWR_CSR & PWR_CSR_PVDO)
+        continue;
+    EXTI_RTSR |= EXTI_PVD;
+    EXTI_IMR |= EXTI_PVD;
+    NVIC_ISER(IRQ_PVD) = 1u << IRQ_PVD;
+}
+
+/* Without its crystal the processor has no time that is good for anything: it stays here, outputs safe. One that stops
+ * later is a non-maskable interrupt, and so a trap. */
 static void start_clocks(void)
 {
     _Static_assert(1000000u * CRYSTAL_MHZ / PLL_M * PLL_N / PLL_P == PROCESSOR_HZ, "CRYSTAL_MHZ: even, 2 to 26");
@@ -72,6 +85,7 @@ static void start_clocks(void)
     RCC_CFGR = RCC_CFGR_PPRE1_4 | RCC_CFGR_PPRE2_2 | RCC_CFGR_SW_PLL;
     while ((RCC_CFGR & RCC_CFGR_SWS) != RCC_CFGR_SWS_PLL)
         continue;
+    RCC_CR |= RCC_CR_CSSON;
 }
 
 /* The level before the direction. */
@@ -133,6 +147,7 @@ static void start_serial(void)
 void board_start(void)
 {
     start_outputs();
+    start_supply_watch();
     start_clocks();
     DEMCR |= DEMCR_TRCENA;
     DWT_CTRL |= DWT_CTRL_CYCCNTENA;
@@ -246,6 +261,7 @@ size_t board_receive(uint8_t *bytes, size_t room)
     const size_t end = (RX_BYTES - DMA2_SNDTR(STREAM_IN)) % RX_BYTES;
     size_t size = 0;
 
+    __asm volatile("dmb" : : : "memory"); /* what has come is read after the counter that says so */
     while (size < room && taken != end) {
         bytes[size++] = coming[taken++];
         taken = taken < RX_BYTES ? taken : 0;

@@ -11,6 +11,7 @@
 #define RCC_CR AT(0x40023800u)
 #define RCC_CR_HSEON (1u << 16)
 #define RCC_CR_HSERDY (1u << 17)
+#define RCC_CR_CSSON (1u << 19)
 #define RCC_CR_PLLON (1u << 24)
 #define RCC_CR_PLLRDY (1u << 25)
 #define RCC_PLLCFGR AT(0x40023804u)
@@ -36,9 +37,18 @@
 #define RCC_APB2ENR_USART1 (1u << 4)
 #define RCC_APB2ENR_ADC1 (1u << 8)
 
-/* RM0090 5.4: power; the bit that lets the backup registers be written. */
+/* RM0090 5.4: power; the detector of a low supply, and the bit that lets the backup registers be written. */
 #define PWR_CR AT(0x40007000u)
+#define PWR_CR_PVDE (1u << 4)
+#define PWR_CR_PLS_2_7_V (5u << 5)
 #define PWR_CR_DBP (1u << 8)
+#define PWR_CSR AT(0x40007004u)
+#define PWR_CSR_PVDO (1u << 2) /* the supply is below the level */
+
+/* RM0090 12.3: lines of the external interrupts; the detector's is 16. */
+#define EXTI_IMR AT(0x40013c00u)
+#define EXTI_RTSR AT(0x40013c08u)
+#define EXTI_PVD (1u << 16)
 
 /* RM0090 3.9: flash interface. */
 #define FLASH_ACR AT(0x40023c00u)
@@ -169,6 +179,7 @@ enum { GPIO_INPUT, GPIO_OUTPUT, GPIO_OTHER, GPIO_ANALOGUE };
 #define CPACR AT(0xe000ed88u)
 #define CPACR_FPU_ON (15u << 20)
 
+#define IRQ_PVD 1u
 #define IRQ_ADC 18u
 #define IRQ_USART1 37u
 #define IRQ_USART3 39u

@@ -30,8 +30,8 @@ void td_reset(void)
     td_trap();
 }
 
-/* What the processor complains about, and what nobody has asked for: no tick any more, so that the monostable opens the
- * enable within a millisecond and the watchdog starts anew. */
+/* What the processor complains about, a crystal that stops, a supply that falls, and what nobody has asked for: no tick
+ * any more, so that the monostable opens the enable within a millisecond and the watchdog starts anew. */
 void td_trap(void)
 {
     for (;;)
@@ -45,5 +45,5 @@ __attribute__((section(".vectors"), used)) static const struct {
 } vectors = {
     td_stack_top,
     {td_reset, td_trap, td_trap, td_trap, td_trap, td_trap, 0, 0, 0, 0, td_trap, td_trap, 0, td_trap, SysTick_Handler},
-    {[IRQ_ADC] = ADC_IRQHandler, [IRQ_USART1] = USART1_IRQHandler, [IRQ_USART3] = USART3_IRQHandler},
+    {[IRQ_PVD] = td_trap, [IRQ_ADC] = ADC_IRQHandler, [IRQ_USART1] = USART1_IRQHandler, [IRQ_USART3] = USART3_IRQHandler},
 };
