@@ -126,7 +126,7 @@ def linked(size: int, folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 def test_a_stopped_crystal_and_a_falling_supply_end_in_the_trap(tmp_path: Path) -> None:
-    """By the vectors of the non-maskable interrupt and of the supply's detector."""
+    """The vectors of the non-maskable interrupt and of the supply's detector."""
     assert linked(64, tmp_path).returncode == 0
     (place,) = re.findall(r"^(\w+) \w td_trap$", tool("nm", "image.elf", folder=tmp_path), re.MULTILINE)
     tool("objcopy", "-O", "binary", "image.elf", "image.bin", folder=tmp_path)
