@@ -182,6 +182,7 @@ def _numbers(dataset: _Dataset, parts_of: int) -> FloatArray:
         raise InputError(f"dataset 58: {points} points, must be 1 to {MOST_ROWS}")
     kept = ORDINATES[kind][1]
     columns = parts_of + (not even)
+    cells: FloatArray
     if dataset.kind == "58b":
         room = len(dataset.packed) // np.dtype(kept).itemsize
         cells = np.frombuffer(dataset.packed, dataset.order + kept, min(room, points * columns)).astype(float)

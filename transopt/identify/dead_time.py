@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import eigvals
 from scipy.optimize import minimize_scalar
 
-from transopt.base.signals import FloatArray
+from transopt.base.signals import ComplexArray
 from transopt.base.sizes import LONGEST_DELAY_S
 from transopt.identify.response_fit import CERTAIN, ResponseFit, fit_response
 from transopt.plant.state_space import StateSpace
@@ -90,7 +90,7 @@ def _best_delay(off: Callable[[float], float], longest_s: float, period_s: float
     return float(minimize_scalar(off, bounds=bounds, method="bounded", options={"xatol": SHARP * period_s}).x)
 
 
-def _zeros(plant: StateSpace) -> FloatArray:
+def _zeros(plant: StateSpace) -> ComplexArray:
     """Finite invariant zeros [1/s] of the acceleration: where [[A - s I, B], [C, D]] is singular."""
     order = plant.order
     pencil = np.block([[plant.A, plant.B], [plant.C, plant.D]])

@@ -166,4 +166,5 @@ def _of_table(raw: RawTable) -> tuple[FloatArray, ComplexArray, Mapping[str, Mea
     magnitude = 10 ** (one / 20) if math.isnan(by) else one * by
     if magnitude.min() < 0:
         raise InputError("a magnitude is negative: is it in dB? name the column magnitude_dB")
-    return frequencies_Hz, slope * magnitude * np.exp(1j * other * other_by), meanings
+    G = np.asarray(slope * magnitude * np.exp(1j * other * other_by), dtype=complex)
+    return frequencies_Hz, G, meanings

@@ -4,6 +4,7 @@ import io
 import json
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy
@@ -56,7 +57,8 @@ def mat_file(library: Library) -> bytes:
     cells = {name: arrays[name].astype(object) for name in texts}
     file = io.BytesIO()
     content = {**arrays, **cells}
-    scipy.io.savemat(file, content, do_compression=True)  # type: ignore[arg-type]  # scipy-stubs forgets file objects
+    into: Any = file  # scipy-stubs forget file objects before 1.18
+    scipy.io.savemat(into, content, do_compression=True)
     return file.getvalue()
 
 

@@ -292,7 +292,7 @@ def replay(
         winding, housing = _temperatures(course, stage.amplifier, coil, budgets)
     if any(limit.of_each_device for of_entry in limits for limit in of_entry):
         runs += [accurate(device, grid, commands, None) for device in spread]
-        step_error = np.max([run.step_error for run in runs], axis=0)
+        step_error = np.array([run.step_error for run in runs]).max(axis=0)
     whole, early, of_input, of_motion = _peaks(runs, limits, (stage, *spread), grid)
     peaks = of_input, largest(course.command), of_motion
     scale = peak_scale(largest(acceleration), course.rounding)

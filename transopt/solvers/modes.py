@@ -112,7 +112,7 @@ def _columns(values: ComplexArray, vectors: ComplexArray) -> tuple[FloatArray, F
     return pairs, vectors.T[values.imag == 0].real
 
 
-def _driven(A: FloatArray, states: slice, pole: complex, by: FloatArray) -> FloatArray:
+def _driven(A: FloatArray, states: slice, pole: complex, by: FloatArray | ComplexArray) -> ComplexArray:
     """Part of an eigenvector in driven states, y with (A - pole) y = -by."""
     own = A[states, states]
     return np.asarray(np.linalg.solve(own - pole * np.eye(own.shape[0]), -by))

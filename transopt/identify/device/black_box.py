@@ -178,7 +178,7 @@ def _fit(one: GripResponse, instrument: Instrument, order: int) -> tuple[StateSp
     """
     held = one.grip_N > 0
     frequencies, target = one.estimate.frequencies_Hz, one.estimate.response.copy()
-    s = np.asarray(2j * np.pi * frequencies, dtype=np.complex128)
+    s: ComplexArray = np.asarray(2j * np.pi * frequencies, dtype=np.complex128)
     high = float(np.abs(s).max())
     if instrument.accelerometer_Hz is not None:
         target *= 1 + 1j * frequencies / instrument.accelerometer_Hz
