@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from transopt.base.errors import InputError
+from transopt.base.toml import read_text
 from transopt.base.toml_edit import edited
 from transopt.files.unclear import Answer, joined
 from transopt.library.columns import COLUMNS, EntryTable
@@ -13,6 +14,7 @@ from transopt.library.library import Library
 from transopt.library.proven import load_proven
 from transopt.report.tried import Taps, prepared, usable
 from transopt.scene.builtin import load_scene, scene_names, scene_path
+from transopt.scene.file import ADVICE
 from transopt.scene.keys import IN_PLACE_OF, with_values
 from transopt.scene.scene import Scene
 from transopt.web.controls import input_key
@@ -41,7 +43,7 @@ def opened(source: Scene | Library | str | Path, recordings: Path | None = None,
     if not isinstance(source, Scene):
         named, source = str(source), load_scene(source, accept=accept)
         if named.lower().endswith(".toml"):
-            text = Path(named).read_text(encoding="utf-8")
+            text = read_text(Path(named), ADVICE)
         else:
             text = scene_path(named).read_text(encoding="utf-8").replace('"../', '"')  # as `scene new` copies it
     if recordings is not None:

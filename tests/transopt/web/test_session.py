@@ -1,5 +1,6 @@
 """One window's conversation, without a web server."""
 
+import codecs
 import json
 import queue
 from collections.abc import Iterator
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from transopt.base.errors import InputError
-from transopt.scene.builtin import FOLDER, load_scene
+from transopt.scene.builtin import FOLDER, load_scene, scene_path
 from transopt.scene.file import read_scene
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
@@ -167,6 +168,19 @@ def test_the_saved_scene_is_the_one_on_the_page_and_keeps_its_comments(tmp_path:
     assert str(FOLDER) not in text
     assert ("# servo period" in text) is written
     assert ("# beta = 3.2" in text) is written
+    window.session.end()
+
+
+def test_a_scene_as_editors_on_windows_save_it_keeps_its_comments(tmp_path: Path) -> None:
+    text = scene_path("own_taps").read_text(encoding="utf-8").replace('"../', f'"{FOLDER.as_posix()}/')
+    marked = tmp_path / "marked.toml"
+    marked.write_bytes(codecs.BOM_UTF8 + text.replace("\n", "\r\n").encode())
+    opened = opened_scene(marked)
+    window = Window(opened.opened, opened.source)
+    window.until("scene")
+    window.session.put({"type": "save", "what": "scene"})
+    _, body = window.until("file")
+    assert "# servo period" in body.decode()
     window.session.end()
 
 
