@@ -50,7 +50,7 @@ def test_numbers_that_overflow_fall_short_without_warnings(
     library: Library, saved: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Warnings are errors in tests: from Python a check prints as little as the command does."""
-    monkeypatch.setattr(unlimited, "most_time_s", lambda stages: 0.1)  # its last resort finds no end to such numbers
+    monkeypatch.setattr(unlimited, "MOST_S", 0.1)  # its last resort finds no end to such numbers
     part_of(library, [3], [2]).save(saved)
     with np.load(saved) as file:
         plant = file["plant_A"].copy()
