@@ -103,7 +103,10 @@ def summary(rows: Sequence[Row]) -> str:
         times = [number(row, "solve_ms") for row in there]
         text += f"; worst gap {gap:.0e}, violation {violation:.0e}; solver {np.median(times):.0f} ms in the median"
     if any(row["status"] == Status.STATIONARY.name for row in rows):
-        text += "; no bound says that there is no better command than a stationary one"
+        text += (
+            "; no bound says that there is no better command than a stationary one, and with a nonlinear plant "
+            "floor is of the plant as it is at rest"
+        )
     return text
 
 
