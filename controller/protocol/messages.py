@@ -159,7 +159,7 @@ class Lease(Packed):
 
 @message(Kind.DISARM)
 class Disarm(Packed):
-    pass
+    """Leave ARMED or PLAYING for IDLE."""
 
 
 @message(Kind.RESET)
@@ -169,6 +169,8 @@ class Reset(Packed):
 
 @message(Kind.GAIN)
 class Gain(Packed):
+    """Change the factor on transients, also on one that plays; it follows in small steps."""
+
     gain: F64
 
 
@@ -313,6 +315,8 @@ class Refused(Packed):
 
 @message(Kind.UPLOAD_READY)
 class UploadReady(Packed):
+    """Send the data from this offset on; the device has those before."""
+
     offset: U32
 
 
@@ -325,6 +329,8 @@ class Ack(Packed):
 
 @message(Kind.LEASE_REPLY)
 class LeaseReply(Packed):
+    """Answer of the device to LEASE, whose `host_us` it returns: its tick, state and fault."""
+
     host_us: U64
     tick: U64
     state: U8
