@@ -397,7 +397,7 @@ test_long_form = long_form(main)
 @pytest.mark.skipif(not riccati.available, reason="the extension is not built")
 def test_each_ends_in_time_loses_nothing_and_leaves_nothing(tmp_path: Path) -> None:
     searches = [command for command in commands() if command.endless]
-    assert len(searches) == 4
+    assert len(searches) == 3
     solve = line("transopt solve single_grip --no-figures --solver casadi-ipopt --out out", "out")
     for ended in campaign([solve, *searches], 5, 3, 2, tmp_path):
         assert not ended.complaints, f"{ended.command.name}, {ended.signal.name} after {ended.after_s:.3f} s"

@@ -98,7 +98,7 @@ def check_first(text: str) -> None:
     assert len(lines) <= FIRST, text
     assert lines[0].startswith("wood_on_foam: 12 taps, all proven optimal")
     assert "36.2*" in text
-    assert "The 4 A current limit costs most: with 5 A 27.9 %; from about 6 A on" in " ".join(text.split())
+    assert "The 4 A current limit costs most: with 5 A 27.9 %; from about 6.1 A on" in " ".join(text.split())
     assert sum(line.startswith("  transopt") for line in lines) == 3
 
 

@@ -137,9 +137,10 @@ def test_measured_impacts_are_solved_and_proven(tmp_path: Path) -> None:
 def test_no_floor_is_told_where_the_optimum_without_limits_is_not_found(
     make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def unfound(problems: Sequence[TransientProblem]) -> list[Solution]:
+    def unfound(problems: Sequence[TransientProblem], *, brief: bool) -> list[Solution]:
         return [
-            replace(found, status=Status.NUMERICAL_FAILURE, command=0 * found.command) for found in solved(problems)
+            replace(found, status=Status.NUMERICAL_FAILURE, command=0 * found.command)
+            for found in solved(problems, brief=brief)
         ]
 
     solved = unlimited.solve
