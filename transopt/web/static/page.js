@@ -212,7 +212,8 @@ function drawn(message, arrays) {
   if (state.asOpened && covers(frame, frame.whole)) state.start = frame;
   if (JSON.stringify(message.places) !== JSON.stringify(state.places)) placed(message.places);
   sound.forget();
-  const asked = { ...state.requested.changes, [state.last]: null };
+  // A late answer moves neither what is asked for now nor what was asked for then and has been taken back.
+  const asked = { ...state.accepted.changes, ...state.requested.changes, [state.last]: null };
   for (const [key, value] of Object.entries(message.following)) if (!(key in asked)) sliders.get(key)?.follow(value);
   show(state.moving);
   const began = requests.done(message.id);
