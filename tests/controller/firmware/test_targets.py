@@ -59,10 +59,10 @@ def test_a_target_answers_as_the_host_does(target: Target, records: dict[str, Pa
 @pytest.mark.parametrize(
     ("command", "device", "held", "said"),
     [
-        (500, 10_000, 2400, ""),
-        (540, 10_000, 2400, "540 instructions beside the servo before the command is out"),
-        (500, 10_000, 2440, "2440 instructions for which the interrupt is held"),
-        (500, 16_800, 2400, "a tick of"),
+        (500, 10_000, 5600, ""),
+        (540, 10_000, 5600, "540 instructions beside the servo before the command is out"),
+        (500, 10_000, 5640, "5640 instructions for which the interrupt is held"),
+        (500, 16_800, 5600, "a tick of"),
     ],
 )
 def test_a_tick_that_is_too_long_or_kept_out_is_told(command: int, device: int, held: int, said: str) -> None:

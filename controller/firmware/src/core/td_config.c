@@ -131,7 +131,7 @@ void td_coil_derive(td_coil *coil, const td_coil_numbers *of, double dt_s, doubl
     coil->R_ohm = of->R_ohm;
     coil->rise_K = of->R_ohm * (1 + COPPER_PER_K * (of->limit_C - RESISTANCE_REFERENCE_C)) *
                    (of->R_wh_K_W / of->tau_w_s) * dt_s;
-    coil->dying_ticks = DYING_TICKS;
+    coil->dying_ticks = (td_real)DYING_TICKS;
     coil->from_housing = dt_s / of->tau_w_s;
     coil->limit_C = of->limit_C;
     coil->play_limit_C = of->limit_C - withhold_K;

@@ -19,7 +19,7 @@ typedef struct {
     td_wide R_ohm, rise_K, from_housing;       /* rise_K: of the winding per A^2 and tick, at the limit */
     td_wide limit_C, play_limit_C;             /* no transient starts above play_limit_C */
     td_wide start_winding_C, start_housing_C;
-    td_wide dying_ticks;                       /* ticks of the present current that follow a command of zero */
+    td_real dying_ticks;                       /* ticks of the present current that follow a command of zero */
     td_wide least_scale;                       /* a transient that would have to be scaled below this is withheld */
 } td_coil;
 

@@ -88,7 +88,7 @@ static reply kept(const td_device *device, uint8_t kind, uint16_t sequence, size
     return made;
 }
 
-static void put(td_device *device, const reply *made)
+static void put_reply(td_device *device, const reply *made)
 {
     uint8_t *header = device->payload;
     size_t size;
@@ -222,7 +222,7 @@ size_t td_device_send(td_device *device, uint8_t *bytes, size_t room)
         if (due.body_size == 0)
             break;
         due.kind = kind;
-        put(device, &due);
+        put_reply(device, &due);
     }
     return td_output_take(&device->output, bytes, room);
 }
@@ -430,6 +430,6 @@ void td_device_receive(td_device *device, const uint8_t *bytes, size_t size)
         hold(device, true);
         made = take_payload(device, device->decoder.held, payload_size);
         hold(device, false);
-        put(device, &made);
+        put_reply(device, &made);
     }
 }

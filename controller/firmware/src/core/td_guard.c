@@ -45,7 +45,7 @@ void td_guard_step(td_guard *guard, const td_coil *coil, td_real current_A)
 
 bool td_guard_too_hot(const td_guard *guard, const td_coil *coil)
 {
-    const td_wide coming_K = coil->rise_K * ((td_wide)guard->sum + coil->dying_ticks * (td_wide)guard->square);
+    const td_wide coming_K = coil->rise_K * (td_wide)(guard->sum + coil->dying_ticks * guard->square);
 
     /* Written so that a NaN is too hot. */
     return !(guard->winding_C + coming_K <= coil->limit_C);

@@ -42,7 +42,7 @@ static void start_coil(td_ring *ring, const td_hardware *h, double winding_C, do
     td_coil_derive(&ring->coil, &numbers, h->dt_s, 0);
     /* Commands before a trip act for the delay after it; then follows the energy of a current that decays with the slowest
      * amplifier, in ticks of the present current. */
-    ring->coil.dying_ticks = TD_DELAY_TICKS + 1 / (1 - (double)ring->slow * (double)ring->slow);
+    ring->coil.dying_ticks = (td_real)(TD_DELAY_TICKS + 1 / (1 - (double)ring->slow * (double)ring->slow));
     ring->coil.start_winding_C = known(winding_C, hottest_C);
     ring->coil.start_housing_C = known(housing_C, steady_C);
     td_guard_start(&ring->guard, &ring->coil);
