@@ -1,9 +1,10 @@
-"""Problems with other limits than their scene's."""
+"""Problems with other limits than their scene's, or with another target."""
 
 from dataclasses import replace
 
 import numpy as np
 
+from transopt.base.signals import FloatArray
 from transopt.problem.answer import Multipliers
 from transopt.problem.limits import KINDS, limits_of
 from transopt.problem.limits.command import CommandLimit
@@ -30,6 +31,11 @@ def numbers_of(limits: Limits, dt_s: float, **numbers: float | None) -> Limits:
 def with_numbers(problem: TransientProblem, **numbers: float | None) -> TransientProblem:
     """The problem with `numbers_of`."""
     return replace(problem, limits=numbers_of(problem.limits, problem.grid.dt_s, **numbers))
+
+
+def aiming_in_window(problem: TransientProblem, reference_m_s2: FloatArray) -> TransientProblem:
+    """The problem with another target (N,) within the window."""
+    return problem.aiming_at(replace(problem.target, window_m_s2=reference_m_s2))
 
 
 def command_limit_A(problem: TransientProblem) -> float:

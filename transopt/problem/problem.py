@@ -299,10 +299,6 @@ class TransientProblem:
         """(N,) r - a_free within the window."""
         return self.target.window_m_s2
 
-    def towards(self, reference_m_s2: FloatArray) -> "TransientProblem":
-        """The problem with another target (N,) within the window."""
-        return replace(self, target=replace(self.target, window_m_s2=reference_m_s2))
-
     @cached_property
     def reference_is_zero(self) -> bool:
         """Whether the target is zero in the window or under all weights, so that the optimum is the zero waveform."""
@@ -427,11 +423,9 @@ def objectives(
     ----------
     accelerations_m_s2 : (G, S, N + M). commands, plant_inputs : all as for `TransientProblem.objective`.
     """
-    first, found = problems[0], values([problem.tracking for problem in problems], accelerations_m_s2)
-    found = found + np.array([first.movement.value(command) for command in commands])
-    if first.heat_price > 0:
-        found = found + np.array([first.heat.value(plant_input) for plant_input in plant_inputs])
-    return np.asarray(found)
+    first, tracked = problems[0], values([problem.tracking for problem in problems], accelerations_m_s2)
+    found = np.asarray(tracked + [first.movement.value(command) for command in commands])
+    return found + [first.heat.value(each) for each in plant_inputs] if first.heat_price > 0 else found
 
 
 def tap_errors(problems: Sequence[TransientProblem], accelerations_m_s2: Sequence[FloatArray]) -> list[float]:

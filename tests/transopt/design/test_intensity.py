@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.benches.limits import aiming_in_window
 from tests.benches.quick_part import without_slow_part
 from transopt.base.signals import FloatArray
 from transopt.design.context import Context
@@ -183,7 +184,7 @@ def test_every_kind_of_limit(posed: Posed, changes: dict[str, object]) -> None:
 
 def test_a_zero_tap_asks_for_nothing(posed: Posed) -> None:
     problem = posed()
-    found = alone(intense(problem.towards(0 * problem.reference_m_s2), OPTIONS))
+    found = alone(intense(aiming_in_window(problem, 0 * problem.reference_m_s2), OPTIONS))
     assert not found.solution.command.any()
     assert found.attained is None
 

@@ -7,6 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from tests.benches.limits import aiming_in_window
 from tests.conftest import ProblemMaker
 from transopt.base.errors import InputError
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers, Solution, Status
@@ -242,7 +243,7 @@ class TestTampering:
 
 
 def test_zero_reference_is_the_zero_waveform(make_problem: ProblemMaker) -> None:
-    problem = make_problem().towards(np.full(600, 1e-9))
+    problem = aiming_in_window(make_problem(), np.full(600, 1e-9))
     solution = solve(problem)
     assert solution.status is Status.OPTIMAL
     assert not solution.command.any()
@@ -282,7 +283,7 @@ def test_options_are_checked() -> None:
 def test_bad_problem_data_is_refused(make_problem: ProblemMaker) -> None:
     problem = make_problem()
     with pytest.raises(InputError, match="reference_m_s2 holds a number that is not finite"):
-        problem.towards(np.full(600, np.nan))
+        aiming_in_window(problem, np.full(600, np.nan))
     with pytest.raises(InputError, match=r"weights of the plain term has shape \(3,\)"):
         replace(problem, terms=(ErrorTerm("plain", np.ones(3)),))
     with pytest.raises(InputError, match="hand_over_samples = 0"):

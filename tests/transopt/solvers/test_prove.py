@@ -8,6 +8,7 @@ import pytest
 
 from problems.stress.draw import drawn
 from tests.benches import arms
+from tests.benches.limits import aiming_in_window
 from tests.conftest import ProblemMaker
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
@@ -178,7 +179,7 @@ def test_what_the_call_does_not_know_is_left_to_the_other(
 
     monkeypatch.setattr(prove, "certify_all", judge)
     hot = answer.multipliers.with_pair(TEMPERATURE, np.zeros(60), np.ones(60))
-    silent = problem.towards(np.zeros(60))
+    silent = aiming_in_window(problem, np.zeros(60))
     extended = replace(problem, stage=problem.stage.extended())
     with np.errstate(all="raise"):
         certified(problem, answer.command, hot)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import problems
-from tests.benches.limits import with_numbers
+from tests.benches.limits import aiming_in_window, with_numbers
 from transopt.design.context import Context
 from transopt.library.library import Library
 from transopt.plant.wall import reference_course
@@ -128,7 +128,7 @@ def test_a_trial_begins_where_limits_bound_under_the_next_limits_before(
     assert begins[0] == 0  # nothing is known yet
     for first, last in zip(begins[1:], (of_late, of_late, of_saturated, of_late, of_late), strict=True):
         assert last < first < last + riccati.BEYOND + 1 + saturated.grid.stages / riccati.LENGTHS
-    riccati.solve([saturated.towards(2 * saturated.reference_m_s2)], trial)
+    riccati.solve([aiming_in_window(saturated, 2 * saturated.reference_m_s2)], trial)
     riccati.solve([late], SolverOptions("riccati"))
     assert begun[-2:] == [[0], []]
 

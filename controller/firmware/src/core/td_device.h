@@ -5,7 +5,7 @@
  *     td_device_send         give the bytes to send; frames are encoded here
  *
  * A port calls `step` in the timer's interrupt and the others outside of it. Shared data is changed only between
- * hold(context, true) and hold(context, false), which mask that interrupt for 17 us at most on an M4F at 168 MHz. Frames
+ * hold(context, true) and hold(context, false), which mask that interrupt for 42 us at most on an M4F at 168 MHz. Frames
  * are encoded without; so are libraries hashed and checked, which takes tens of milliseconds, only while the amplifier is
  * off. All state is in the struct; a port needs one static td_device.
  */
