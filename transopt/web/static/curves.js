@@ -1,8 +1,8 @@
-// Lines of many samples, as pixels show them; colours as the page has them.
+// Lines of many samples, as pixels show them; colours as the page has them; what draws them on a canvas or in a file.
 
 const NAMES = ["ground", "ink", "quiet", "grid", "recorded", "optimum", "clipped", "start", "warm", "limit", "line"];
 export const SMALL_PX = 62; // height of a small plot, as page.css has it
-const FONT = "12px system-ui, sans-serif";
+const FULL_WIDTH = 5; // characters of a number on a vertical axis for which its room suffices in any font
 
 let kept = null;
 export function colours() {
@@ -49,13 +49,15 @@ function strokeLine(pen, line) {
   pen.stroke();
 }
 
-// The pen of an empty canvas, which draws in pixels of the page.
-export function penOf(canvas, width, height) {
-  const ratio = window.devicePixelRatio || 1, size = [width, height].map((pixels) => Math.round(pixels * ratio));
+// The context of an empty canvas, which draws in pixels of the page; `ground`: its colour, for one that is not transparent.
+export function penOf(canvas, width, height, { ratio = devicePixelRatio || 1, ground = null } = {}) {
+  const size = [width, height].map((pixels) => Math.round(pixels * ratio));
   if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
-  const pen = canvas.getContext("2d");
+  const pen = canvas.getContext("2d", { alpha: ground === null });
   pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-  pen.clearRect(0, 0, width, height);
+  pen.fillStyle = ground;
+  if (ground === null) pen.clearRect(0, 0, width, height);
+  else pen.fillRect(0, 0, width, height);
   return pen;
 }
 
@@ -94,72 +96,80 @@ export function drawSmall(pen, box, times, tap, scale, hidden = new Set(), start
   pen.restore();
 }
 
-const SVG = "http://www.w3.org/2000/svg";
-
-function pathOf(line) {
-  let d = "", begins = true;
-  for (let at = 0; at < line.length; at += 2) {
-    const [x, y] = [line[at], line[at + 1]].map((place) => Math.round(10 * place) / 10), gap = Number.isNaN(y);
-    if (!gap) d += `${begins ? "M" : "L"}${x} ${y}`;
-    begins = gap;
+// What draws lines and words on an opaque canvas.
+export class CanvasPen {
+  constructor(canvas, width, height, { ratio, font = "12px system-ui, sans-serif" } = {}) {
+    this.pen = penOf(canvas, width, height, { ratio, ground: colours().ground });
+    this.pen.font = font;
   }
-  return d;
+
+  // `line`: corners as of `lineOf`.
+  stroke(line, colour, { width = 1, dashes = [] } = {}) {
+    this.pen.strokeStyle = colour;
+    this.pen.lineWidth = width;
+    this.pen.setLineDash(dashes);
+    strokeLine(this.pen, line);
+  }
+
+  // `anchor`: start, middle or end of the words is at x. `room`: pixels into which a long number is condensed. `bare`: the
+  // ground shows through between the words; otherwise nothing drawn before does.
+  write(words, x, y, { anchor = "start", room, bare = true } = {}) {
+    const { pen } = this, { ground, ink } = colours();
+    pen.textAlign = anchor === "middle" ? "center" : anchor;
+    if (!bare) {
+      const { actualBoundingBoxLeft: left, actualBoundingBoxRight: right } = pen.measureText(words);
+      pen.fillStyle = ground;
+      pen.fillRect(x - left - 2, y - 11, left + right + 4, 14);
+    }
+    pen.fillStyle = ink;
+    pen.fillText(words, x, y, room);
+  }
+
+  // What `draws` draws, within a box.
+  within({ x, y, width, height }, draws) {
+    this.pen.save();
+    this.pen.beginPath();
+    this.pen.rect(x, y, width, height);
+    this.pen.clip();
+    draws();
+    this.pen.restore();
+  }
 }
 
-// The elements of a drawing as `parts` state them, [kind, attributes, text or parts], a path by its
-// `line`: what stays is not touched.
-export function sketch(drawing, parts) {
-  parts.forEach(([kind, attributes, inner = ""], j) => {
-    let element = drawing.children[j];
-    if (element?.tagName !== kind) {
-      const fresh = document.createElementNS(SVG, kind);
-      if (element) element.replaceWith(fresh);
-      else drawing.append(fresh);
-      element = fresh;
-    }
-    const before = element.stated ?? {};
-    const { line, ...stated } = attributes;
-    if (line) stated.d = pathOf(line);
-    for (const name of Object.keys(before)) if (!(name in stated)) element.removeAttribute(name);
-    for (const [name, value] of Object.entries(stated)) if (before[name] !== value) element.setAttribute(name, value);
-    element.stated = stated;
-    if (typeof inner !== "string") sketch(element, inner);
-    else if (element.textContent !== inner) element.textContent = inner;
-  });
-  while (drawing.children.length > parts.length) drawing.lastElementChild.remove();
-}
+// The same as the text of an SVG.
+export class SvgPen {
+  constructor(width, height) {
+    this.parts = [`<svg xmlns="http://www.w3.org/2000/svg" width="${width}" height="${height}" viewBox="0 0 ${width} ${height}" `
+      + `font-family="sans-serif" font-size="13"><rect width="100%" height="100%" fill="${colours().ground}"/>`];
+    this.boxes = 0;
+  }
 
-// Paints parts on a canvas as `sketch` draws them: what changes with every answer is painted, since the elements of a
-// drawing cost a browser several times as much. Of texts it knows the anchor and a halo, of groups a clipping rectangle.
-export function paint(canvas, width, height, parts) {
-  const pen = penOf(canvas, width, height), clips = new Map();
-  pen.font = FONT;
-  const one = ([kind, attributes, inner = ""]) => {
-    const { stroke, fill } = attributes;
-    pen.strokeStyle = stroke;
-    pen.fillStyle = fill;
-    pen.lineWidth = attributes["stroke-width"] ?? 1;
-    pen.setLineDash(attributes["stroke-dasharray"]?.split(" ").map(Number) ?? []);
-    if (kind === "clipPath") {
-      clips.set(`url(#${attributes.id})`, inner[0][1]);
-    } else if (kind === "g") {
-      const area = clips.get(attributes["clip-path"]);
-      pen.save();
-      pen.beginPath();
-      pen.rect(area.x, area.y, area.width, area.height);
-      pen.clip();
-      inner.forEach(one);
-      pen.restore();
-    } else if (kind === "path") {
-      strokeLine(pen, attributes.line);
-    } else if (kind === "line") {
-      strokeLine(pen, [attributes.x1, attributes.y1, attributes.x2, attributes.y2]);
-    } else {
-      pen.textAlign = attributes["text-anchor"];
-      pen.lineJoin = attributes["stroke-linejoin"];
-      pen.strokeText(inner, attributes.x, attributes.y);
-      pen.fillText(inner, attributes.x, attributes.y);
+  stroke(line, colour, { width = 1, dashes = [] } = {}) {
+    let d = "", begins = true;
+    for (let at = 0; at < line.length; at += 2) {
+      const [x, y] = [line[at], line[at + 1]].map((place) => Math.round(10 * place) / 10), gap = Number.isNaN(y);
+      if (!gap) d += `${begins ? "M" : "L"}${x} ${y}`;
+      begins = gap;
     }
-  };
-  parts.forEach(one);
+    const dashed = dashes.length ? ` stroke-dasharray="${dashes.join(" ")}"` : "";
+    this.parts.push(`<path d="${d}" fill="none" stroke="${colour}" stroke-width="${width}"${dashed}/>`);
+  }
+
+  write(words, x, y, { anchor = "start", room, bare = true } = {}) {
+    const { ground, ink } = colours(), written = words.replace(/[&<>]/g, (sign) => `&#${sign.charCodeAt(0)};`);
+    const condensed = words.length > FULL_WIDTH && room ? ` textLength="${room}" lengthAdjust="spacingAndGlyphs"` : "";
+    const halo = bare ? "" : ` paint-order="stroke" stroke="${ground}" stroke-width="4" stroke-linejoin="round"`;
+    this.parts.push(`<text x="${x}" y="${y}" text-anchor="${anchor}" fill="${ink}"${condensed}${halo}>${written}</text>`);
+  }
+
+  within({ x, y, width, height }, draws) {
+    const name = `box-${this.boxes += 1}`;
+    this.parts.push(`<clipPath id="${name}"><rect x="${x}" y="${y}" width="${width}" height="${height}"/></clipPath><g clip-path="url(#${name})">`);
+    draws();
+    this.parts.push("</g>");
+  }
+
+  get text() {
+    return `${this.parts.join("")}</svg>`;
+  }
 }

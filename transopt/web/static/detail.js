@@ -1,15 +1,15 @@
 // The selected tap drawn large: acceleration, what drives the device, error and temperature over one time axis, which
 // can be zoomed and read.
 
-import { colours, lineOf, paint, sketch } from "./curves.js";
+import { CanvasPen, colours, lineOf, SvgPen } from "./curves.js";
 import { largest } from "./words.js";
 
 const G = 9.80665; // m/s^2
 const FIRST_MS = 20; // time of a tap that is shown at first: what is felt of it
 const ROOM = { left: 46, right: 10, top: 4, bottom: 36, between: 13 };
+const NUMBER_PX = 13; // height of a number on a vertical axis
 const TITLE_PX = 20; // height of a title with room around it
-const FULL_WIDTH = 5; // characters of a number on a vertical axis for which the room on its left suffices in any font
-const DASHES = { clipped: "6 4", start: "2 3", warm: "9 3", limit: "2 3" };
+const DASHES = { clipped: [6, 4], start: [2, 3], warm: [9, 3], limit: [2, 3] };
 const WIDTHS = { optimum: 2.2, warm: 1.8, recorded: 1, start: 1, clipped: 1, limit: 1 };
 
 // Round numbers from `low` to `high`, rather some more of them than only zero.
@@ -21,10 +21,19 @@ function ticks(low, high, about) {
   return found;
 }
 
+// Straight lines, as corners with a gap behind them, in the middle of a pixel.
+function upright(x, top, bottom) {
+  return [Math.round(x) + 0.5, top, Math.round(x) + 0.5, bottom, NaN, NaN];
+}
+
+function level(left, right, y) {
+  return [left, Math.round(y) + 0.5, right, Math.round(y) + 0.5, NaN, NaN];
+}
+
 export class Detail {
   // `read(words, now)`: what the curves are at the time that is pointed at, in words.
   constructor(element, read) {
-    Object.assign(this, { element, read, svg: element.querySelector("svg"), canvas: element.querySelector("canvas"), hidden: new Set(), zoomed: () => undefined });
+    Object.assign(this, { element, read, canvas: element.querySelector("canvas"), hidden: new Set(), zoomed: () => undefined });
     element.addEventListener("keydown", (event) => this.key(event));
     element.addEventListener("pointermove", (event) => this.pointed(event));
     element.addEventListener("pointerdown", (event) => {
@@ -163,66 +172,53 @@ export class Detail {
 
   draw(kept = false) {
     if (!this.frame || !this.view || !this.width) return;
-    const { axes, curves } = this.drawn(this.width, this.height, kept);
-    sketch(this.svg, axes);
-    paint(this.canvas, this.width, this.height, curves);
+    this.drawn(new CanvasPen(this.canvas, this.width, this.height), this.height, kept);
     this.element.dataset.frame = this.frame.number;
     this.readOut();
   }
 
-  // The contents of the picture, with all colours in them, so that they can be saved as they are: the axes, which stay
-  // while the scales do, and above them the curves with their titles.
-  drawn(width, height, kept) {
+  // Draws axes, curves and titles with a pen, down to `height`.
+  drawn(pen, height, kept, head = ROOM.top) {
     const colour = colours(), curves = this.curves(), names = Object.keys(curves);
     const heights = { acceleration: 3, input: 2.6, error: 1.5, temperature: 1.2 };
     const { name, unit } = this.scene.driven_by, C = this.tap.temperature_limit_C;
     const titles = { acceleration: "acceleration, g", input: `${name}, ${unit}`, error: "error, g",
       temperature: `winding, C${C ? `; limit ${Number(C.toPrecision(4))}` : ""}` };
-    const free = height - ROOM.top - ROOM.bottom - ROOM.between * (names.length - 1);
+    const free = height - head - ROOM.bottom - ROOM.between * (names.length - 1);
     const whole = names.reduce((sum, each) => sum + heights[each], 0);
-    const [left, right] = [ROOM.left, width - ROOM.right], axes = [], above = [];
-    const text = (parts, x, y, words, how) => parts.push(["text", { x, y, fill: colour.ink, ...how }, words]);
-    const along = (parts, x1, y1, x2, y2, stroke, how = {}) => parts.push(["line", { x1, y1, x2, y2, stroke, ...how }]);
+    const [left, right] = [ROOM.left, this.width - ROOM.right];
     this.panels = {};
     this.ranges = Object.fromEntries(names.map((each) => [each, this.range(each, curves[each], kept)]));
-    let top = ROOM.top;
-    const ended = this.scene.window_end_s, across = ticks(...this.view.map((t) => 1e3 * t), Math.max(Math.min(width / 90, 10), 4));
+    let top = head;
+    const { window_end_s: ended } = this.scene, across = ticks(...this.view.map((t) => 1e3 * t), Math.max(Math.min(this.width / 90, 10), 4));
     for (const each of names) {
       const size = (heights[each] / whole) * free, bottom = top + size, [low, high] = this.ranges[each];
       const y = (value) => bottom - ((value - low) / (high - low)) * size;
       this.panels[each] = { top, bottom, low, high, y };
-      for (const t of across) along(axes, this.timeX(t / 1e3), top, this.timeX(t / 1e3), bottom, colour.grid);
-      for (const value of ticks(low, high, Math.max(size / 24, 3))) {
-        along(axes, left, y(value), right, y(value), value === 0 ? colour.line : colour.grid);
-        // A long number, as of a temperature, is condensed into its room; how wide a digit is depends on the font.
-        const number = String(Number(value.toPrecision(6)));
-        const condensed = number.length > FULL_WIDTH ? { textLength: left - 8, lengthAdjust: "spacingAndGlyphs" } : {};
-        text(axes, left - 6, y(value) + 4, number, { "text-anchor": "end", ...condensed });
-      }
-      const drawn = curves[each].filter(([curve, times, values]) => times && values?.length && (curve === "limit" || !this.hidden.has(curve)));
-      above.push(["clipPath", { id: `in-${each}` }, [["rect", { x: left, y: top, width: right - left, height: size }]]],
-        ["g", { "clip-path": `url(#in-${each})`, fill: "none" }, drawn.map((curve) => this.path(curve, this.panels[each], right - left))]);
+      let values = ticks(low, high, Math.max(size / 24, 3));
+      if (values.length * NUMBER_PX > size) values = ticks(low, high, 2);
+      pen.stroke([...across.flatMap((t) => upright(this.timeX(t / 1e3), top, bottom)), ...values.flatMap((value) => level(left, right, y(value)))],
+        colour.grid);
+      if (values.includes(0)) pen.stroke(level(left, right, y(0)), colour.line);
+      for (const value of values) pen.write(String(Number(value.toPrecision(6))), left - 6, y(value) + 4, { anchor: "end", room: left - 8 });
+      pen.within({ x: left, y: top, width: right - left, height: size }, () => {
+        for (const [curve, times, values] of curves[each]) {
+          if (!times || !values?.length || (curve !== "limit" && this.hidden.has(curve))) continue;
+          const line = curve === "limit" ? level(left, right, y(values[0]))
+            : lineOf(times, values, this.view, { left, pixels: right - left, zero: y(0), unit: y(0) - y(1) });
+          pen.stroke(line, colour[curve], { width: WIDTHS[curve], dashes: DASHES[curve] });
+        }
+      });
       // The limit's handle lies at the upper right of the input, whose title is below both limits where there is room.
       const lowest = y(-this.tap.input_limit), under = bottom - lowest > TITLE_PX ? bottom - 5 : (y(0) + lowest) / 2 + 5;
-      text(above, right - 4, each === "input" ? under : top + 13, titles[each],
-        { "text-anchor": "end", "paint-order": "stroke", stroke: colour.ground, "stroke-width": 4, "stroke-linejoin": "round" });
+      pen.write(titles[each], right - 4, each === "input" ? under : top + 13, { anchor: "end", bare: false });
       top = bottom + ROOM.between;
     }
     const bottom = top - ROOM.between;
-    if (ended > this.view[0] && ended < this.view[1]) {
-      along(axes, this.timeX(ended), ROOM.top, this.timeX(ended), bottom, colour.line, { "stroke-dasharray": "8 3 2 3" });
-    }
-    for (const t of across) text(axes, this.timeX(t / 1e3), bottom + 15, String(t), { "text-anchor": "middle" });
-    text(axes, (left + right) / 2, bottom + 31, "time after contact, ms", { "text-anchor": "middle" });
-    if (this.cursor !== null) along(above, this.timeX(this.cursor), ROOM.top, this.timeX(this.cursor), bottom, colour.ink, { "stroke-width": 1 });
-    return { axes, curves: above };
-  }
-
-  // A curve in a panel, on `pixels` for all that is looked at.
-  path([curve, times, values], { y }, pixels) {
-    const line = lineOf(times, values, this.view, { left: ROOM.left, pixels, zero: y(0), unit: y(0) - y(1) });
-    const dashes = DASHES[curve] ? { "stroke-dasharray": DASHES[curve] } : {};
-    return ["path", { line, stroke: colours()[curve], "stroke-width": WIDTHS[curve], ...dashes }];
+    if (ended > this.view[0] && ended < this.view[1]) pen.stroke(upright(this.timeX(ended), head, bottom), colour.line, { dashes: [8, 3, 2, 3] });
+    for (const t of across) pen.write(String(t), this.timeX(t / 1e3), bottom + 15, { anchor: "middle" });
+    pen.write("time after contact, ms", (left + right) / 2, bottom + 31, { anchor: "middle" });
+    if (this.cursor !== null) pen.stroke(upright(this.timeX(this.cursor), head, bottom), colour.ink);
   }
 
   // Reads out the curves at the cursor.
@@ -251,26 +247,13 @@ export class Detail {
 
   // A file of the picture, with its title.
   async file(kind, title) {
-    const width = 1200, height = 800, head = 34, kept = [this.width, this.cursor];
+    const width = 1200, height = 800, head = 34, kept = [this.width, this.cursor], canvas = new OffscreenCanvas(1, 1);
+    const pen = kind === "svg" ? new SvgPen(width, height) : new CanvasPen(canvas, width, height, { ratio: 2, font: "13px sans-serif" });
     [this.width, this.cursor] = [width, null];
-    const { axes, curves } = this.drawn(width, height - head, true);
+    pen.write(title, ROOM.left, 22);
+    this.drawn(pen, height, true, head + ROOM.top);
     [this.width, this.cursor] = kept;
-    const drawing = this.svg.cloneNode();
-    for (const [name, value] of [["width", width], ["height", height], ["viewBox", `0 0 ${width} ${height}`],
-      ["font-family", "sans-serif"], ["font-size", "13"]]) drawing.setAttribute(name, value);
-    const { ground, ink } = colours();
-    sketch(drawing, [["rect", { width: "100%", height: "100%", fill: ground }],
-      ["text", { x: ROOM.left, y: 22, "font-size": 16, fill: ink }, title], ["g", { transform: `translate(0 ${head})` }, [...axes, ...curves]]]);
     this.draw(true);
-    const vector = new Blob([new XMLSerializer().serializeToString(drawing)], { type: "image/svg+xml" });
-    if (kind === "svg") return vector;
-    const picture = new Image(), place = URL.createObjectURL(vector);
-    picture.src = place;
-    await picture.decode();
-    const canvas = new OffscreenCanvas(2 * width, 2 * height), pen = canvas.getContext("2d");
-    pen.scale(2, 2);
-    pen.drawImage(picture, 0, 0);
-    URL.revokeObjectURL(place);
-    return canvas.convertToBlob({ type: "image/png" });
+    return kind === "svg" ? new Blob([pen.text], { type: "image/svg+xml" }) : canvas.convertToBlob({ type: "image/png" });
   }
 }

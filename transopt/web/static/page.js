@@ -70,7 +70,7 @@ function ask(what, of, how = {}) {
   state.requested = { ...state.requested, ...what };
   if (!probed && state.requested.probe) state.selected = state.places.length;
   state.last = of;
-  state.moving = !how.resting;
+  moves(!how.resting);
   if (how.step) history.note(state.requested, of, how.step);
   if (!how.answers) wanted.forget();
   solving();
@@ -79,10 +79,15 @@ function ask(what, of, how = {}) {
   if (how.resting) requests.rest(0);
 }
 
+function moves(moving) {
+  state.moving = moving;
+  table.rests(!moving);
+}
+
 function restore(requested) {
   if (!requested) return;
   state.requested = requested;
-  state.moving = false;
+  moves(false);
   state.last = "";
   showRequested();
   wanted.forget();
@@ -159,7 +164,8 @@ function opened(scene) {
   }
   if (taps.shown(scene, again && scene.name === state.scene.name)) return; // they are sent again, and come with a scene
   const same = again && scene.name === state.scene.name;
-  Object.assign(state, { scene, places: scene.places, frame: null, resume: false, moving: false });
+  Object.assign(state, { scene, places: scene.places, frame: null, resume: false });
+  moves(false);
   requests.forget();
   if (!same) {
     Object.assign(state, { requested: NOTHING, start: null, selected: scene.own.length ? 0 : scene.places.length - 1 });
@@ -252,7 +258,7 @@ function settled(message) {
 
 function rested(message) {
   if (message.id !== requests.number) return;
-  state.moving = false;
+  moves(false);
   for (const [key, value] of Object.entries(state.accepted.changes)) sliders.get(key)?.take(value);
   large();
   certified();
@@ -282,7 +288,7 @@ function refused(message) {
     if (!newest) return; // what came since is answered too
     history.refuse(state.requested);
     state.requested = state.accepted;
-    state.moving = false;
+    moves(false);
     showRequested();
     const field = sliders.get(key || state.last);
     if (field) field.complain(`${words}. It stays as it was.`);

@@ -27,12 +27,22 @@ function priceCurve(svg, prices) {
 
 export class Table {
   constructor(element, selects) {
-    Object.assign(this, { element, selects });
+    Object.assign(this, { element, selects, inSight: true });
+    new IntersectionObserver((seen) => {
+      this.inSight = seen[seen.length - 1].isIntersecting;
+      this.rests(this.resting);
+    }).observe(element.parentElement);
+  }
+
+  // While a slider moves, a table out of sight is neither laid out nor painted: it has its numbers all the same.
+  rests(resting) {
+    this.resting = resting;
+    this.element.parentElement.classList.toggle("unseen", !resting && !this.inSight);
   }
 
   open(scene, places) {
-    const [words] = [scene.windings_C ? [["warm", "warm %", "tap error of what is played on the warm coil"]] : []];
-    this.columns = [...scene.columns.map(({ name, head, meaning }) => [name, head, meaning]), ...words,
+    const warm = scene.windings_C ? [["warm", "warm %", "tap error of what is played on the warm coil"]] : [];
+    this.columns = [...scene.columns.map(({ name, head, meaning }) => [name, head, meaning]), ...warm,
       ["binding", "binds", "the limits that hold this tap back; the selected tap has the times below its plot"],
       ["price", "price", "tap error over the limit that is dearest: left half of it, right where it stops mattering; the dot is now. Known at rest."],
       ["state", "state", "certified: proven to be the best under these limits. Replayed: simulated in continuous time and admitted, as a library would hold it."]];
