@@ -19,6 +19,7 @@ from transopt.files.names import (
     Vocabulary,
     apart,
     axis_of,
+    is_frequency,
     is_weighed,
     keys_of,
     lacks_unit,
@@ -82,8 +83,11 @@ def meaning(name: str, words: Vocabulary, units: Mapping[str, str]) -> Meaning:
     return Meaning(quantity, unit, stated, note if contradicts else "")
 
 
-def _unknown(names: Sequence[str], words: Vocabulary, seen: Seen) -> UnclearError:
-    """The question about columns without a meaning, or about a missing quantity, with possible answers."""
+def _unknown(names: Sequence[str], words: Vocabulary, seen: Seen) -> InputError:
+    """The question about columns without a meaning, or about a missing quantity, with possible answers.
+
+    A frequency response leaves no question open: it is no record over time, however its columns are read.
+    """
     unknown = [name for name in names if name != SKIPPED and words.quantity_of(name) is None]
     electrical = {base: unit for base, unit in map(apart, unknown) if unit and is_electrical(unit)}
     acceleration = "acceleration" in words.quantities
@@ -94,6 +98,11 @@ def _unknown(names: Sequence[str], words: Vocabulary, seen: Seen) -> UnclearErro
             problem, [{"units": {base: each}} for base, unit in electrical.items() for each in sensed(unit)]
         )
     absent = words.absent(names)
+    over = next((name for name in unknown if is_frequency(name)), None)
+    if over is not None and "time" in absent:
+        return InputError(
+            f"column {quote(over)}: a frequency response, and no record over time: `transopt plant fit` reads it"
+        )
     weighed = [apart(name) for name in unknown if is_weighed(name)]
     if weighed and acceleration and "acceleration" in absent:
         problem = f"column {quote(weighed[0][0])} may hold grams of a load cell, and no other is an acceleration's"

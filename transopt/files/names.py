@@ -281,6 +281,11 @@ def _quantity_called(base: str, quantities: Iterable[str]) -> str | None:
     return next((of for of in quantities if spelt & {of, *ALIASES[of]}), None)
 
 
+def is_frequency(name: str) -> bool:
+    """Whether a column's name is that of a frequency, over which a response is measured."""
+    return _quantity_called(apart(name)[0], ("frequency",)) is not None
+
+
 def axis_of(name: str) -> str:
     """The axis in the name of an acceleration, as in accel_x, ay_g or acc[0]; empty if none."""
     base = apart(name)[0]

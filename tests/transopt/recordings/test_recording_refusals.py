@@ -198,6 +198,14 @@ def test_bad_variables(tmp_path: Path, suffix: str, changed: dict[str, Any], wor
     assert words in refusal(tmp_path, PACKERS[suffix](**{**VARIABLES, **changed}), suffix)
 
 
+@pytest.mark.parametrize("head", ["Frequency (Hz),Magnitude (mm/s/V),Phase (deg)", "freq,re,im"])
+def test_a_frequency_response_is_called_one_whatever_its_columns_could_be_read_as(tmp_path: Path, head: str) -> None:
+    rows = "".join(f"{20 + j},{0.5 + 0.01 * j},{89 - j}\n" for j in range(40))
+    message = refusal(tmp_path, f"{head}\n{rows}")
+    assert message.endswith("a frequency response, and no record over time: `transopt plant fit` reads it")
+    assert "--units" not in message
+
+
 @pytest.mark.parametrize("suffix", PACKERS)
 def test_missing_variables(tmp_path: Path, suffix: str) -> None:
     message = refusal(tmp_path, PACKERS[suffix](a=TIMES_S, b=TAP_M_S2), suffix)
