@@ -154,13 +154,13 @@ def oddness(found: Taps) -> float:
 def doubt(found: Taps) -> UnclearError | None:
     """The question if taps are implausible, with units, full scales and speeds to try; None if all are plausible."""
     taps, settings = found
-    try:
-        for tap in taps:
-            check_speed(tap)  # a scene needs the speed
-    except UnclearError as error:
-        return error
     odd = next((tap for tap in taps if tap.implausible), None)
     if odd is None or settings.implausible == "accept":
+        try:
+            for tap in taps:
+                check_speed(tap)  # a scene needs the speed
+        except UnclearError as error:
+            return error
         return None
     # The key under which the user states the unit of a quantity, or the quantity itself.
     stated = {

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from transopt.base.errors import InputError
+from transopt.recordings.plausible import PEAK_G
 from transopt.scene.builtin import FOLDER, load_scene, scene_path
 from transopt.scene.file import read_scene
 from transopt.scene.keys import with_values
@@ -267,6 +268,8 @@ def test_a_recording_is_read_as_the_fields_of_the_page_say(window: Window) -> No
     window.session.put(*drop(file))
     units = dict(refused(window, "odd.csv: unknown column 'p'"))
     reading = next(each for words, each in units.items() if words.startswith("p in s, q in m/s^2: 10 kHz, a peak of"))
+    peaks_g = [float(words.rpartition("a peak of ")[2].split()[0]) for words in units]
+    assert max(peaks_g) <= PEAK_G[1]  # what no tap has is not among the answers while another is
     window.session.put(*drop(file, reading=reading))
     assert refused(window, "odd.csv: no incoming speed")[0][1]["units"] == reading["units"]  # what was answered stays
     window.session.put(*drop(file, **stated))
