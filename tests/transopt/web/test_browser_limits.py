@@ -61,6 +61,9 @@ FRAMES = """() => ({
   asked: document.querySelector("[id='of-limits.current_A-number']").value,
   ratio: document.querySelector("[id='of-limits.beta-number']").value,
   limit: page.frame.taps[1].input_limit,
+  height: document.documentElement.scrollHeight,
+  painted: document.querySelector("#table").checkVisibility({ contentVisibilityAuto: true }),
+  below: document.querySelector(".table").getBoundingClientRect().top > innerHeight,
 })"""
 
 
@@ -68,6 +71,7 @@ def test_one_answer_drives_all_that_shows_a_result_also_while_dragging(window: W
     assert window.inked("start") == 0  # nothing differs from it yet
     box = window.see(CURRENT).bounding_box()
     y = box["y"] + box["height"] / 2
+    window.tab.set_viewport_size({"width": 1280, "height": 700})  # the table is below
     window.tab.mouse.move(box["x"] + 0.7 * box["width"], y)
     window.tab.mouse.down()
     found = []
@@ -81,11 +85,15 @@ def test_one_answer_drives_all_that_shows_a_result_also_while_dragging(window: W
         assert len(set(sample["frames"])) == 1
         assert sample["cell"] == sample["row"] == sample["head"]
         assert sample["handle"] == f"{sample['asked']} A"
+        assert sample["height"] == found[0]["height"]  # nothing is pushed about
+        assert sample["below"]
         assert float(sample["ratio"]) == pytest.approx(sample["limit"] / small.limits.steady_input, rel=1e-3)
     assert len({sample["frames"][0] for sample in found}) > 3  # it was drawn meanwhile
     assert len({sample["asked"] for sample in found}) > 30
+    assert sum(sample["painted"] for sample in found) < len(found) / 2  # some, where the slider rests for a moment
     window.rests()
     window.says("#selected", "as opened 29.6 %")
+    assert window.tab.evaluate(FRAMES)["painted"]
     assert window.inked("start") > 0
     assert window.inked("limit") > 0
 
