@@ -6,9 +6,7 @@ const FULL_WIDTH = 5; // characters of a number on a vertical axis for which its
 
 let kept = null;
 export function colours() {
-  const style = getComputedStyle(document.documentElement);
-  kept ??= Object.fromEntries(NAMES.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
-  return kept;
+  return kept ??= Object.fromEntries(NAMES.map((name) => [name, getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim()]));
 }
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { kept = null; });
 
@@ -37,15 +35,19 @@ export function lineOf(times, values, view, { left, pixels, zero, unit }) {
   return line;
 }
 
-function strokeLine(pen, line) {
+function trace(pen, line) {
   let begins = true;
-  pen.beginPath();
   for (let at = 0; at < line.length; at += 2) {
     const x = line[at], y = line[at + 1], gap = Number.isNaN(y);
     if (begins && !gap) pen.moveTo(x, y);
     else if (!gap) pen.lineTo(x, y);
     begins = gap;
   }
+}
+
+function strokeLine(pen, line) {
+  pen.beginPath();
+  trace(pen, line);
   pen.stroke();
 }
 
@@ -145,12 +147,9 @@ export class SvgPen {
   }
 
   stroke(line, colour, { width = 1, dashes = [] } = {}) {
-    let d = "", begins = true;
-    for (let at = 0; at < line.length; at += 2) {
-      const [x, y] = [line[at], line[at + 1]].map((place) => Math.round(10 * place) / 10), gap = Number.isNaN(y);
-      if (!gap) d += `${begins ? "M" : "L"}${x} ${y}`;
-      begins = gap;
-    }
+    let d = "";
+    const step = (letter) => (...corner) => { d += letter + corner.map((place) => Math.round(10 * place) / 10).join(" "); };
+    trace({ moveTo: step("M"), lineTo: step("L") }, line);
     const dashed = dashes.length ? ` stroke-dasharray="${dashes.join(" ")}"` : "";
     this.parts.push(`<path d="${d}" fill="none" stroke="${colour}" stroke-width="${width}"${dashed}/>`);
   }

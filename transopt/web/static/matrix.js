@@ -14,11 +14,6 @@ export function isLimited(tap) {
   return Boolean(tap.figures) && tap.figures.tap_error > LIMITED * tap.floor;
 }
 
-// Where an element lies in the one that it is placed by.
-function boxOf({ offsetLeft: x, offsetTop: y, clientWidth: width, clientHeight: height }) {
-  return { x, y, width, height };
-}
-
 export class Matrix {
   constructor(element, selects) {
     Object.assign(this, { element, selects, cells: [], full: 0, boxes: null, drawn: null });
@@ -78,7 +73,8 @@ export class Matrix {
 
   // Where the small plots lie. It is read once, since reading after a change costs another layout.
   measure() {
-    this.boxes = this.cells.map((cell) => boxOf(cell.querySelector(".curves")));
+    this.boxes = this.cells.map((cell) => cell.querySelector(".curves")).map((plot) => (
+      { x: plot.offsetLeft, y: plot.offsetTop, width: plot.clientWidth, height: plot.clientHeight }));
     this.size = [["x", "width"], ["y", "height"]].map(([from, size]) => Math.max(1, ...this.boxes.map((box) => box[from] + box[size])));
     [this.canvas.style.width, this.canvas.style.height] = this.size.map((pixels) => `${pixels}px`);
   }

@@ -81,7 +81,7 @@ function ask(what, of, how = {}) {
 
 function moves(moving) {
   state.moving = moving;
-  table.rests(!moving);
+  document.body.classList.toggle("moving", moving);
 }
 
 function restore(requested) {
@@ -307,7 +307,7 @@ function refused(message) {
   if (of === "open") write(by("description"), words);
   if (of === "choose") state.chosen = "";
   if (of === "ask") write(by("answer"), words);
-  announce("refused");
+  announce(message.choices?.length ? "your answer is needed" : "refused");
 }
 
 function saved(message, arrays) {

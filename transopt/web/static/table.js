@@ -27,17 +27,9 @@ function priceCurve(svg, prices) {
 
 export class Table {
   constructor(element, selects) {
-    Object.assign(this, { element, selects, inSight: true });
-    new IntersectionObserver((seen) => {
-      this.inSight = seen[seen.length - 1].isIntersecting;
-      this.rests(this.resting);
-    }).observe(element.parentElement);
-  }
-
-  // While a slider moves, a table out of sight is neither laid out nor painted: it has its numbers all the same.
-  rests(resting) {
-    this.resting = resting;
-    this.element.parentElement.classList.toggle("unseen", !resting && !this.inSight);
+    Object.assign(this, { element, selects });
+    const around = element.parentElement;
+    new IntersectionObserver((seen) => around.classList.toggle("unseen", !seen.at(-1).isIntersecting)).observe(around);
   }
 
   open(scene, places) {
