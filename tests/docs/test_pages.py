@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Callable, Iterable
+from functools import cache
 from importlib import import_module, util
 from pathlib import Path
 
@@ -18,7 +19,7 @@ import typer
 from controller.protocol.codes import Kind, Reason
 from controller.servo.interface import Fault, Notice
 from tests.benches.places import ROOT
-from tests.docs.pages import DOCS, FENCED, PAGES, blocks, fenced, named, text
+from tests.docs.pages import DOCS, FENCED, PAGES, blocks, fenced, text
 from transopt.library.meta import META
 from transopt.library.multipliers import ARRAYS
 from transopt.problem.answer import Status
@@ -61,53 +62,58 @@ STATED: dict[str, Callable[[], Iterable[str]]] = {
 }
 
 
-@pytest.mark.parametrize("page", PAGES, ids=named)
-class TestPage:
-    def test_every_block_says_what_it_is(self, page: Path) -> None:
-        assert {block.language for block in fenced(page)} <= OUTPUT | RUN | BUILT
-        assert len(fenced(page)) == len(re.findall(r"^```", text(page), flags=re.MULTILINE)) / 2
+def test_every_block_says_what_it_is() -> None:
+    for page in PAGES:
+        assert {block.language for block in fenced(page)} <= OUTPUT | RUN | BUILT, page
+        assert len(fenced(page)) == len(re.findall(r"^```", text(page), flags=re.MULTILINE)) / 2, page
         indented = re.findall(r"\n\n( {4}\S.*)", FENCED.sub("", text(page)))
-        assert not indented, "a block without a fence cannot say what it is"
+        assert not indented, f"{page}: a block without a fence cannot say what it is"
 
-    def test_python_compiles_and_toml_parses(self, page: Path) -> None:
+
+def test_python_compiles_and_toml_parses() -> None:
+    for page in PAGES:
         for block in blocks(page, "python"):
             compile(block, str(page), "exec")
         for block in blocks(page, "toml"):
             tomllib.loads(block)
 
-    def test_commands_and_their_options_exist(self, page: Path) -> None:
-        for block in blocks(page, "sh"):
-            for line in block.splitlines():
-                words = shlex.split(line, comments=True)
-                if words and words[0] in COMMANDS:
-                    _check(words)
 
-    def test_commands_in_the_text_exist(self, page: Path) -> None:
-        for span in re.findall(r"`([^`]+)`", FENCED.sub("", text(page))):
-            words = span.split()
-            if words[0] in COMMANDS:
-                _check(words)
+def test_commands_and_their_options_exist() -> None:
+    for page in PAGES:
+        spans = re.findall(r"`([^`]+)`", FENCED.sub("", text(page)))
+        lines = [line for block in blocks(page, "sh") for line in block.splitlines()]
+        typed = [*(span.split() for span in spans), *(shlex.split(line, comments=True) for line in lines)]
+        for words in typed:
+            if words and words[0] in COMMANDS:
+                _check(page, words)
 
-    def test_places_in_the_code_exist(self, page: Path) -> None:
+
+def test_places_in_the_code_exist() -> None:
+    for page in PAGES:
         for file, name in re.findall(r"`((?:\w+/)+\w+\.\w+)(?::(\w+))?`", FENCED.sub("", text(page))):
             if file.split("/")[0] not in ("transopt", "controller", "problems", "scripts", "tests", "docs"):
                 continue
-            assert (ROOT / file).exists(), file
+            assert (ROOT / file).exists(), f"{page}: {file}"
             stated = rf"^\s*(?:def|class|async def) {name}\b|^\s*{name}\b[^=\n]*=|^[\w *]+\b{name}\("
             if name:
-                assert re.search(stated, text(file), re.MULTILINE), f"{file}:{name}"
+                assert re.search(stated, text(file), re.MULTILINE), f"{page}: {file}:{name}"
 
-    def test_scripts_and_their_options_exist(self, page: Path) -> None:
+
+def test_scripts_and_their_options_exist() -> None:
+    for page in PAGES:
         for name, options in re.findall(r"python (scripts/[a-z_]+\.py)([^`|\n]*)", STAMP.sub("", text(page))):
-            assert (ROOT / name).exists(), name
+            assert (ROOT / name).exists(), f"{page}: {name}"
             for option in re.findall(r"--[\w-]+", options):
-                assert option in sources(ROOT / name), f"{name} {option}"
+                assert option in sources(ROOT / name), f"{page}: {name} {option}"
 
-    def test_campaigns_and_their_options_exist(self, page: Path) -> None:
+
+def test_campaigns_and_their_options_exist() -> None:
+    for page in PAGES:
         for name, options in re.findall(r"python -m pytest [^`|\n]*(tests/campaigns/\w+\.py)([^`|\n]*)", text(page)):
             main = import_module(name.removesuffix(".py").replace("/", ".")).main
             for option in re.findall(r"--[\w-]+", options.removeprefix(" --campaign").replace("--help", "")):
-                assert option[2:].replace("-", "_") in inspect.signature(main).parameters, f"{name} {option}"
+                known = inspect.signature(main).parameters
+                assert option[2:].replace("-", "_") in known, f"{page}: {name} {option}"
 
 
 def sources(script: Path) -> str:
@@ -116,16 +122,20 @@ def sources(script: Path) -> str:
     return "\n".join(path.read_text(encoding="utf-8") for path in (script, *helpers))
 
 
-def _check(words: list[str]) -> None:
-    app = import_module(COMMANDS[words[0]]).app
-    command: click.Command = typer.main.get_command(app)
+@cache
+def _command(name: str) -> click.Command:
+    return typer.main.get_command(import_module(COMMANDS[name]).app)
+
+
+def _check(page: Path, words: list[str]) -> None:
+    command = _command(words[0])
     rest = words[1:]
     while rest and (isinstance(command, click.Group) or hasattr(command, "commands")):
-        assert rest[0] in command.commands, " ".join(words)  # type: ignore[union-attr]
+        assert rest[0] in command.commands, f"{page}: {' '.join(words)}"  # type: ignore[union-attr]
         command, rest = command.commands[rest[0]], rest[1:]  # type: ignore[union-attr]
     known = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}
     asked = {word.split("=")[0] for word in rest if word.startswith("--")}
-    assert asked <= known, f"{' '.join(words)}: {asked - known}"
+    assert asked <= known, f"{page}: {' '.join(words)}: {asked - known}"
 
 
 def test_readme_is_one_page_with_a_figure_at_its_top() -> None:
