@@ -88,10 +88,12 @@ class Rig:
     )
 
     def record(self, name: str, grip_N: float, command_A: FloatArray, seed: int) -> Measurement:
-        key = (grip_N, command_A.tobytes())
+        sign = np.sign(command_A[np.argmax(np.abs(command_A))]) or 1.0  # nothing here depends on the polarity
+        key = (grip_N, (sign * command_A).tobytes())
         if key not in self.runs:
-            self.runs[key] = sampled_run(self.device.plant(grip_N), command_A, self.amplifier, self.crossover_A)
-        current, acceleration, position = self.runs[key]
+            plant = self.device.plant(grip_N)
+            self.runs[key] = sampled_run(plant, sign * command_A, self.amplifier, self.crossover_A)
+        current, acceleration, position = (sign * each for each in self.runs[key])
         random = np.random.default_rng([seed, int(1000 * grip_N)])
         kept = np.exp(-2 * np.pi * ACCELEROMETER_HZ * DT_S)
         fresh = random.standard_normal(command_A.size + 100)
