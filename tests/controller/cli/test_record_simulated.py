@@ -149,10 +149,9 @@ def test_a_touch_too_light_for_the_trigger_is_named(play: Run) -> None:
     assert outcome.code == 1
     assert "nothing above 1 g (--trigger) in tap_0.03m_s_1N_1.npz, tap_0.03m_s_3N_1.npz, the softest" in outcome.err
     (trigger,) = re.findall(r"give --trigger ([\d.]+), another --out", outcome.err)
-    lower = play(*OBJECT[:-1], "lower", "--speeds", "0.03,0.2", "--grips", "1,3", "--trigger", trigger)
+    lower = play(*OBJECT[:-1], "lower", "--speeds", 0.03, "--grips", "1,3", "--trigger", trigger)
     assert lower.code == 0, lower.err
-    assert len(list(Path("lower").iterdir())) == 4
-    assert play(*OBJECT[:-1], "light", "--speeds", 0.03, "--grips", 3, "--trigger", 0.3).code == 0
+    assert len(list(Path("lower").iterdir())) == 2
 
 
 def test_heat(play: Run) -> None:

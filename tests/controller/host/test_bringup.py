@@ -54,7 +54,7 @@ def check(desk: Desk, device: Device, library: Library) -> Check:
         loaded=True,
         library=library,
         configuration=given.configuration,
-        patience_s=1.0,
+        patience_s=0.5,
     )
 
 
@@ -105,7 +105,7 @@ def changed(**by: Callable[[Readings], float]) -> Wrong:
         ("grip-hold", changed(grip_N=lambda r: 0.0), "dead or stuck"),
         ("current-offset", changed(current_A=lambda r: r.current_A + 0.1), r"^\+0\.1\d\d\d A"),
         ("current-offset", changed(encoder_counts=lambda r: r.tick // 10), r"^no rest: \d+ counts in 0.3 s"),
-        ("emergency-stop", changed(emergency_stop=lambda r: False), "not pressed within 1 s"),
+        ("emergency-stop", changed(emergency_stop=lambda r: False), "not pressed within 0.5 s"),
     ],
 )
 def test_a_wrong_sensor_fails_its_step(
@@ -121,7 +121,7 @@ def test_a_wrong_sensor_fails_its_step(
 def test_the_emergency_stop_has_to_come_out_again(desk: Desk, check: Check) -> None:
     desk.obeys["release"] = lambda: None
     found = result(check, "emergency-stop")
-    assert (found.passed, found.seen) == (False, "not released within 1 s")
+    assert (found.passed, found.seen) == (False, "not released within 0.5 s")
     assert desk.end.state is State.FAULT
 
 
@@ -149,7 +149,7 @@ def test_the_grips_scale_is_found_with_a_known_weight_or_said_not_to_be_checked(
 @pytest.mark.parametrize(
     ("instead", "seen"),
     [
-        (lambda desk: None, "no contact within 1 s"),
+        (lambda desk: None, "no contact within 0.5 s"),
         (lambda desk: desk.asked("press"), "fault: emergency stop|no contact"),
         (lambda desk: (desk.hand.tap(desk.now_s(), 0.2), setattr(desk.hand, "held_N", 0.3)), "no contact.*not held"),
     ],

@@ -83,7 +83,7 @@ def test_bands_hold_the_truth_as_often_as_they_say(seconds: list[float], seeds: 
 
 def test_coherence_is_the_share_of_the_signal_in_the_output() -> None:
     noise = 0.5
-    estimates = [estimate_transfer(trials([2.0] * 4, noise, seed)).between(200, 800) for seed in range(20)]
+    estimates = [estimate_transfer(trials([2.0] * 4, noise, seed)).between(200, 800) for seed in range(10)]
     frequencies = estimates[0].frequencies_Hz
     command = sweep_command(1, 2000, 2.0, 0.75, DT_S)
     lines = np.fft.rfftfreq(command.size, DT_S)
@@ -120,7 +120,7 @@ def test_distortion_of_even_order_cancels_between_polarities() -> None:
 
 
 def test_trials_that_differ_widen_the_band() -> None:
-    gains = np.random.default_rng(7).normal(1.0, 0.1, (40, 5))
+    gains = np.random.default_rng(7).normal(1.0, 0.1, (20, 5))
     command = sweep_command(1, 2000, 1.0, 0.75, DT_S)
     held = []
     for seed, row in enumerate(gains):
@@ -128,7 +128,7 @@ def test_trials_that_differ_widen_the_band() -> None:
         estimate = estimate_transfer([trial(f"{g:g}", command, random, 0.01, g) for g in row]).between(300, 500)
         held.append(np.abs(estimate.response[3] - truth(estimate.frequencies_Hz)[3]) <= estimate.radius()[3])
         assert np.all(estimate.degrees == 8)
-    # One true mean, forty experiments of five trials; without the scatter between them hardly one would hold it.
+    # One true mean, twenty experiments of five trials; without the scatter between them hardly one would hold it.
     assert np.mean(held) > 0.85
 
 
@@ -136,7 +136,7 @@ def test_a_response_over_another_output_is_that_from_the_other_as_input() -> Non
     """What the two outputs have in common, be it noise of the first, is no noise of their ratio."""
     command = sweep_command(1, 2000, 2.0, 0.75, DT_S)
     errors, same, noise = [], [], 0.01
-    for seed in range(20):
+    for seed in range(10):
         random = np.random.default_rng(seed)
         currents = [command + 0.1 * random.standard_normal(command.size) for _ in range(3)]
         answers = [signal.lfilter(NUMERATOR, DENOMINATOR, one) for one in currents]

@@ -43,8 +43,10 @@ def integrated(path: Path, grip_N: float) -> np.ndarray:
     return found
 
 
-@pytest.mark.parametrize("incoming_m_s2", [0.0, 3.0, -2.0])
-@pytest.mark.parametrize("yields", [each for each in get_args(Yielding) if each != "stops"])
+@pytest.mark.parametrize(
+    ("yields", "incoming_m_s2"),
+    list(zip([each for each in get_args(Yielding) if each != "stops"], (3.0, 0.0, -2.0, 3.0), strict=True)),
+)
 def test_the_stylus_follows_the_hand_as_its_masses_do(yields: Yielding, incoming_m_s2: float) -> None:
     scene = with_values(problems.load("wood_on_foam"), {"hand.yields": yields})
     found = scene.free_motion(3.0).acceleration_m_s2(0.3, incoming_m_s2, TIMES_S)

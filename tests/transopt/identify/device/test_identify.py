@@ -220,7 +220,7 @@ def clipped(run: Measurement) -> Measurement:
 
 @pytest.fixture(scope="module")
 def held(rig: Rig) -> list[Measurement]:
-    return rig.sweeps((3.0,))
+    return rig.sweeps((3.0,), seconds=1.0)
 
 
 BAD = {
@@ -286,11 +286,12 @@ def test_a_transient_that_is_reversed_is_no_error_of_the_model(rig: Rig, held: l
 
 @pytest.mark.parametrize(("shift", "words"), [(1, "1 samples later"), (-1, "1 samples earlier")])
 def test_a_current_that_is_read_at_another_tick_is_reported_and_taken_out(
-    rig: Rig, held: list[Measurement], shift: int, words: str
+    rig: Rig, sweeps: list[Measurement], shift: int, words: str
 ) -> None:
-    result = identify([driven(run, lambda x: np.roll(x, shift)) for run in held], [], SETTINGS)
+    runs = [driven(run, lambda x: np.roll(x, shift)) for run in sweeps if run.grip_N == 3.0]
+    result = identify(runs, [], SETTINGS)
     findings = [str(finding) for finding in result.findings if finding.fault is Fault.SHIFTED]
-    assert len(findings) == len(held)
+    assert len(findings) == len(runs)
     assert words in findings[0]
     assert result.causes == ["read delay"]
     assert result.chain.instrument.late == pytest.approx(-shift, abs=0.01)

@@ -26,8 +26,8 @@ def entry(scene: Scene, taps: list[Recording], key: str, bound: float, grip_N: f
 @pytest.mark.parametrize(
     ("key", "grip_N", "bound"),
     [
-        *((STROKE, 3.0, bound_m) for bound_m in (4e-3, 3e-3, 2.8e-3, 2.6e-3, 2.4e-3)),
-        *((VELOCITY, 5.0, bound_m_s) for bound_m_s in (0.4005, 0.402, 0.405, 0.41, 0.414)),
+        *((STROKE, 3.0, bound_m) for bound_m in (4e-3, 2.4e-3)),
+        *((VELOCITY, 5.0, bound_m_s) for bound_m_s in (0.4005, 0.414)),
     ],
 )
 def test_the_optimum_is_that_of_a_dense_solve_and_is_kept_at_all_times(
