@@ -128,7 +128,8 @@ def test_a_command_loads_nothing_that_only_others_need(folder: Path, command: st
 def test_figures_are_drawn_without_the_optimiser_and_without_lists_of_properties(folder: Path) -> None:
     """What a command leaves out of matplotlib are docstrings of classes; what the classes can do is the same."""
     line = "sys.modules['matplotlib.lines'].Line2D"
-    what = f"{loaded('casadi', *SCIPY)}, 'alpha' in {line}.set.__doc__, {line}([0], [0], alpha=0.5).get_alpha()"
+    others = loaded("casadi", "matplotlib.pyplot", *SCIPY)
+    what = f"{others}, 'alpha' in {line}.set.__doc__, {line}([0], [0], alpha=0.5).get_alpha()"
     assert told_at_its_end(what, "solve", folder) == "[] False 0.5"
 
 

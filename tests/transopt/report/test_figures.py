@@ -1,7 +1,5 @@
 """Figures: the drawn data are the library's, in the units the axes say, and nothing is lost or clipped."""
 
-import subprocess
-import sys
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -305,9 +303,3 @@ class TestTaps:
     def test_any_number_fits_on_the_paper(self, prepared: list[PreparedTap], count: int) -> None:
         long = replace(prepared[0].recording, name="a_folder_with_a_very_long_name_and_a_tap_on_oak.csv")
         assert_nothing_clipped(taps_figure([replace(prepared[0], recording=long)] * count))
-
-
-def test_drawing_needs_neither_pyplot_nor_casadi() -> None:
-    check = "import sys, transopt.report.figures; print({'matplotlib.pyplot', 'casadi'} & set(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "set()"
