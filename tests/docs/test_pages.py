@@ -75,7 +75,7 @@ def test_python_compiles_and_toml_parses() -> None:
         for block in blocks(page, "python"):
             compile(block, str(page), "exec")
         for block in blocks(page, "toml"):
-            tomllib.loads(block)
+            assert not (said := _wrong_toml(block)), f"{page}: {said}\n{block}"
 
 
 def test_commands_and_their_options_exist() -> None:
@@ -120,6 +120,14 @@ def sources(script: Path) -> str:
     """Sources of a script and of its helpers, some of which read its command line."""
     helpers = [path for path in (ROOT / "scripts").glob("*/*.py") if path.parent.stem in script.read_text()]
     return "\n".join(path.read_text(encoding="utf-8") for path in (script, *helpers))
+
+
+def _wrong_toml(block: str) -> str:
+    try:
+        tomllib.loads(block)
+    except tomllib.TOMLDecodeError as wrong:
+        return str(wrong)
+    return ""
 
 
 @cache
