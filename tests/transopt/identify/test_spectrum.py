@@ -146,7 +146,9 @@ def test_a_response_over_another_output_is_that_from_the_other_as_input() -> Non
         direct = transfer(condense(currents, [one[None] for one in answers], DT_S)).between(250, 700)
         errors.append(np.abs(ratio.response - truth(ratio.frequencies_Hz)) <= ratio.radius())
         same.append(ratio.deviation / direct.deviation)
-        np.testing.assert_allclose(ratio.over(ratio.response).response, 1.0)
+        one = ratio.over(ratio.response)
+        np.testing.assert_allclose(one.response, 1.0)
+        np.testing.assert_allclose(one.deviation, ratio.deviation / np.abs(ratio.response))
     assert 0.9 < np.mean(errors) < 0.98
     assert 0.9 < np.mean(same) < 1.1
 

@@ -40,9 +40,7 @@ def within(one: float, other: float, tolerance: float) -> bool:
     return abs(one - other) <= tolerance * max(other, OBJECTIVE_SCALE)
 
 
-@pytest.mark.parametrize(
-    "seed", [*range(8), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(8, 40))]
-)
+@pytest.mark.parametrize("seed", [*range(8), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(8, 40))])
 def test_the_optimum_is_that_of_an_independent_dense_program(seed: int) -> None:
     problem = drawn(seed)
     answer = solve(problem, OPTIONS)
