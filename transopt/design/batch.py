@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -61,7 +61,15 @@ class Batch:
             return [both[1] for both in self._on_nonlinear_plant]
         simulated = self._together.of(slice(len(self.designed))) if self._share else None
         problems = [each.problem for each in self.designed]
-        return replayed(problems, self._transients, self._coil, uncorrected=self.uncorrected, simulated=simulated)
+        # What makes the commands again does not hold the batch, whose replays hold it.
+        again = partial(_transients, self.designed, self._stated)
+        told = {"uncorrected": self.uncorrected, "simulated": simulated, "again": again}
+        return replayed(problems, self._transients, self._coil, **told)
+
+    def let_go(self) -> None:
+        """Free the courses of the replays, which are played again when they are read."""
+        for played in self.replays[:1]:
+            played.samples.let_go()
 
     @cached_property
     def linear_replays(self) -> list[Replay]:
@@ -94,15 +102,7 @@ class Batch:
 
     @property
     def _transients(self) -> FloatArray:
-        """(M, N), or (M, m, N) of m motors: the input that each answer adds to the wall's feedback."""
-        if self._stated is not None:
-            return self._stated
-        # A solver that broke down returns NaN; the integrator plays zeros instead.
-        found = np.stack([designed.solution.command for designed in self.designed])
-        np.nan_to_num(found, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
-        for each, command in zip(self.designed, found, strict=True):
-            command[...] = each.problem.transient_command(command)
-        return found
+        return _transients(self.designed, self._stated)
 
     @cached_property
     def _on_nonlinear_plant(self) -> list[list[Replay]]:
@@ -129,6 +129,18 @@ class Batch:
         return [
             designed.nonlinear.figures(each) for each in _rivals_of([designed.linear or designed], self._steady_input)
         ]
+
+
+def _transients(designed: Sequence[Designed], stated: FloatArray | None) -> FloatArray:
+    """(M, N), or (M, m, N) of m motors: the input that each answer adds to the wall's feedback."""
+    if stated is not None:
+        return stated
+    # A solver that broke down returns NaN; the integrator plays zeros instead.
+    found = np.stack([each.solution.command for each in designed])
+    np.nan_to_num(found, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+    for each, command in zip(designed, found, strict=True):
+        command[...] = each.problem.transient_command(command)
+    return found
 
 
 def _rivals_of(designed: Sequence[Designed], steady_input: float) -> FloatArray:

@@ -33,7 +33,7 @@ from transopt.problem.answer import Status
 from transopt.problem.objective.target import along_normal
 from transopt.recordings.recording import Recording
 from transopt.references.reference import COURSES, Reference
-from transopt.references.references import References
+from transopt.references.references import TARGETS, References
 from transopt.scene.identified import IdentifiedModel
 from transopt.scene.model_parts import MODEL_PARTS
 from transopt.scene.scene import Scene
@@ -48,7 +48,7 @@ SOLVED_TOGETHER = (
     128  # entries in one batch, at least those of one grip; fewer leave lanes of the compiled method idle
 )
 # Arrays of a reference that a library stores for every cell under the same name.
-CELLS = tuple(name for name in COURSES if name != "nominal_position_at_ticks_m")
+CELLS = (*(name for name in COURSES if name != "nominal_position_at_ticks_m"), *TARGETS)
 
 
 @dataclass(frozen=True)
@@ -222,7 +222,7 @@ def build_library(
         context = context.varied(scene)
     rows, devices = scene.axes.rows, scene.axes.devices
     columns: list[list[Entry]] = []
-    table = EntryArrays(len(rows), len(devices))
+    table = EntryArrays(len(rows), len(devices), without=TARGETS)
     some = max(SOLVED_TOGETHER // len(rows), 1)
     for first in range(0, len(devices), some):
         posed = [
@@ -233,8 +233,6 @@ def build_library(
         designed = design(posed, options=options)
         for column in (designed[i : i + len(rows)] for i in range(0, len(designed), len(rows))):
             table.add(column)
-            for entry in column:
-                entry.let_go()
             # The table has replayed and judged the entries, so that progress counts finished ones.
             progress(len(column))
             columns.append(column)
@@ -317,7 +315,7 @@ def _assembled(
         **{name: of_cells(name) for name in CELLS},
         "nominal_position_at_ticks_m": at_ticks[..., : scene.stages],
         "nominal_after_at_ticks_m": at_ticks[..., scene.stages :],
-        **table.arrays(entries, further),
+        **table.arrays(further),
         "correction_m_s2": np.zeros((len(cells), len(plants), *entries[0][0].problem.reference_m_s2.shape)),
         **{f"plant_{name}": np.stack([getattr(plant, name) for plant in plants]) for name in PLANT},
         **{f"spread_{name}": stacked(name) for name in PLANT},
@@ -325,10 +323,10 @@ def _assembled(
     library = Library.of(arrays, meta)
     if not cool:
         return library
-    of_cool = EntryArrays(len(cool), len(cool[0]))
+    of_cool = EntryArrays(len(cool), len(cool[0]), without=TARGETS)
     for column in zip(*cool, strict=True):
         of_cool.add(column)
-    return library.with_cool(of_cool.arrays(cool, further))
+    return library.with_cool({name: arrays[name] for name in TARGETS} | of_cool.arrays(further))
 
 
 def _meta(

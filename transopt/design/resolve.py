@@ -14,7 +14,7 @@ from transopt.design.entry import Entry
 from transopt.library.derived import derived
 from transopt.library.library import Library
 from transopt.library.meta import entry_left_out, heat_is_in, most_parts, shared_left_out
-from transopt.library.multipliers import ARRAYS, MULTIPLIERS, multiplier_arrays
+from transopt.library.multipliers import ARRAYS, MULTIPLIERS, of_sides
 from transopt.solvers.options import SolverOptions
 
 # Arrays of a library that are computed from an entry, by name.
@@ -106,7 +106,8 @@ def _with(
     for (iv, ig), course in taken.items():
         entry = entries[iv, ig]
         found = {name: made(entry) for name, made in OF_ENTRIES.items()}
-        _put(arrays, (iv, ig), found | _multipliers(entry, further) | {"correction_m_s2": course})
+        sides = dict.fromkeys((*MULTIPLIERS, *further), 0.0) | of_sides(entry.solution.multipliers)
+        _put(arrays, (iv, ig), found | sides | {"correction_m_s2": course})
         left_out[iv][ig] = entry.left_out
     shared = shared_left_out(left_out)
     problems = library.problems(0, range(nv))
@@ -114,11 +115,6 @@ def _with(
     multipliers = {name: arrays.pop(name) for name in (*MULTIPLIERS, *further)}
     meta = {**library.meta, "derived": own, "left_out": shared}
     return replace(library, **arrays, multipliers_of=multipliers, meta=meta, cool=None)
-
-
-def _multipliers(entry: Entry, further: Sequence[str]) -> dict[str, Any]:
-    found = entry.solution.multipliers
-    return {name: array[0, 0] for name, array in multiplier_arrays([[found]], further).items()}
 
 
 def _put(arrays: dict[str, Any], place: tuple[int, int], values: dict[str, Any]) -> None:

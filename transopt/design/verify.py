@@ -76,6 +76,7 @@ def _verified(library: Library, progress: Callable[[int], None]) -> list[Entry]:
             checked[iv, ig] = entry.stating(shortfalls=_shortfalls(library, iv, ig, entry))
             checked[iv, ig].let_go()
             progress(1)
+        batch.let_go()
     return [checked[iv, ig] for iv in range(nv) for ig in range(ng)]
 
 

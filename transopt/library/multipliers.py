@@ -1,14 +1,12 @@
 """A library's multipliers by their names in the file, and the declarations of all its arrays."""
 
 import itertools
-from collections.abc import Sequence
-
-import numpy as np
+from collections.abc import Mapping
 
 from transopt.base.signals import FloatArray
 from transopt.library.arrays import Array, declared
 from transopt.library.held import Held
-from transopt.problem.answer import Multipliers
+from transopt.problem.answer import Multipliers, Pair
 from transopt.problem.limits import KINDS, OF_OUTPUTS, kinds_for
 from transopt.problem.limits.input import SHARES
 from transopt.problem.limits.limit import SIDES
@@ -40,26 +38,22 @@ def is_of_entries(name: str) -> bool:
     return name not in ARRAYS or name in MULTIPLIERS or ARRAYS[name].made is not None
 
 
-def multiplier_arrays(
-    of_entries: Sequence[Sequence[Multipliers]], further: Sequence[str] = ()
-) -> dict[str, FloatArray]:
-    """`Library.multipliers_of` from the multipliers of all entries, speeds outermost.
+def of_sides(multipliers: Multipliers) -> dict[str, FloatArray]:
+    """Name of an array -> (N,) multipliers of one side of a row, of all sides that have one above zero."""
+    return {
+        f"mu_{row}_{side}": values
+        for row, pair in multipliers.pairs.items()
+        for side, values in zip(SIDES, pair, strict=True)
+        if values.any()
+    }
 
-    Parameters
-    ----------
-    further : names of multiplier arrays that not every library has, see `further_arrays`.
-    """
-    shape = len(of_entries), len(of_entries[0]), of_entries[0][0].stages
-    found = {name: np.zeros(shape) for name in (*MULTIPLIERS, *further)}
-    for iv, of_speed in enumerate(of_entries):
-        for ig, entry in enumerate(of_speed):
-            for row, pair in entry.pairs.items():
-                for side, values in zip(SIDES, pair, strict=True):
-                    array = found.get(f"mu_{row}_{side}")
-                    # Most are zero. Memory of zeros that is never written to is not allocated.
-                    if array is not None and values.any():
-                        array[iv, ig] = values
-    return found
+
+def pairs_of(sides: Mapping[str, FloatArray], nothing: FloatArray) -> dict[str, Pair]:
+    """`Multipliers.pairs` from the result of `of_sides`; `nothing` (N,) for a side that it does not have."""
+    return {
+        row: (sides.get(f"mu_{row}_{SIDES[0]}", nothing), sides.get(f"mu_{row}_{SIDES[1]}", nothing))
+        for row in dict.fromkeys(map(row_of, sides))
+    }
 
 
 def row_of(array: str) -> str:

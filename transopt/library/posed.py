@@ -13,7 +13,7 @@ from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.library.held import Held
 from transopt.library.meta import most_parts, parts_of
-from transopt.library.multipliers import row_of
+from transopt.library.multipliers import pairs_of
 from transopt.library.place import interpolation_weights, speed_weights
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel
@@ -23,7 +23,6 @@ from transopt.plant.time_grid import TimeGrid
 from transopt.plant.wall import Wall
 from transopt.problem.answer import Multipliers, Status
 from transopt.problem.limits import OF_OUTPUTS
-from transopt.problem.limits.limit import SIDES
 from transopt.problem.limits.own import OwnLimit
 from transopt.problem.objective.figures import Yardstick
 from transopt.problem.objective.target import Target
@@ -299,20 +298,13 @@ class Posed(Held):
         """Multipliers of one entry."""
         stages = self.command.shape[-1]
         nothing = np.zeros(stages)
-        of, pairs = self.multipliers_of, {}
-        for row, priced in self._priced.items():
-            if priced[iv, ig]:
-                lower, upper = (of[name][iv, ig] if (name := f"mu_{row}_{side}") in of else nothing for side in SIDES)
-                pairs[row] = (lower, upper)
-        return Multipliers(stages, pairs, self.mu_end[iv, ig], self.current_sign[iv, ig])
+        sides = {name: self.multipliers_of[name][iv, ig] for name, priced in self._priced.items() if priced[iv, ig]}
+        return Multipliers(stages, pairs_of(sides, nothing), self.mu_end[iv, ig], self.current_sign[iv, ig])
 
     @cached_property
     def _priced(self) -> dict[str, NDArray[np.bool_]]:
-        """Row of a limit -> (v, g) whether the entry has any multiplier of it other than zero."""
-        found: dict[str, NDArray[np.bool_]] = {}
-        for name, array in self.multipliers_of.items():
-            found[row_of(name)] = np.asarray(array.any(axis=-1) | found.get(row_of(name), False))
-        return found
+        """Name of a multipliers' array -> (v, g) whether the entry has any other than zero."""
+        return {name: np.asarray(array.any(axis=-1)) for name, array in self.multipliers_of.items()}
 
 
 def scene_in(meta: dict[str, Any]) -> "Scene":

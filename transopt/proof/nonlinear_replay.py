@@ -9,6 +9,8 @@ neither its splitting nor its steps. All periods are integrated side by side and
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +27,7 @@ from transopt.problem.nonlinear import NonlinearProblem
 from transopt.problem.objective.figures import Yardstick
 from transopt.problem.objective.target import Target
 from transopt.proof.continuous import after_s, peak_scale
-from transopt.proof.replay import Played, Replay
+from transopt.proof.replay import Played, Replay, Sampled, Samples
 
 SAMPLES = 4  # per servo period
 RELATIVE = 1e-9  # relative tolerance of the integrator
@@ -210,12 +212,12 @@ def played_nonlinear(
         posed = Played((at_rest,), grid, watched)
         reached = {limit.name: _reached(course, run, limit, posed) for limit in watched}
     later = course.times_s > grid.end_s
+    samples = Samples(partial(Sampled, found, run.plant_input[:, course.instants[:N]], played))
     return [
         Replay(
-            acceleration_m_s2=found[m, :N],
-            plant_input=run.plant_input[m, course.instants[:N]],
+            samples=samples,
+            number=m,
             figures=yardstick.figures(target, found[m]),
-            after_m_s2=found[m, N:],
             peak_input=float(np.abs(run.plant_input[m]).max()),
             peak_command=float(np.abs(played[m]).max()),
             after_peak_m_s2=float(np.abs(run.acceleration_m_s2[m, later]).max()),
@@ -223,7 +225,6 @@ def played_nonlinear(
             reached_while_stated={name: float(early[m]) for name, (_, early) in reached.items()},
             winding_C=float("nan"),
             housing_C=float("nan"),
-            command=played[m],
             scale_m_s2=float(peak_scale(np.abs(found[m, :N]).max(), 0.0)),
             step_error=float(error[m]),
         )

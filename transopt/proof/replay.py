@@ -4,8 +4,10 @@
 every fine step.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,6 +30,42 @@ from transopt.proof.continuous import AGREEMENT, Course, Loop, accurate, largest
 from transopt.proof.flow import Flow
 
 
+class Sampled(NamedTuple):
+    """Courses of M replays.
+
+    Attributes
+    ----------
+    accelerations_m_s2 : (M, instants) y'' at the switching instants of window and tail.
+    plant_inputs, commands : (M, N) the plant's input at the switching instants, and the total commands.
+    """
+
+    accelerations_m_s2: FloatArray
+    plant_inputs: FloatArray
+    commands: FloatArray
+
+
+class Samples:
+    """Courses of M replays, which may be let go: the commands make them again when they are read.
+
+    Parameters
+    ----------
+    play : makes the courses. courses : those that it makes, if they are known already.
+    """
+
+    def __init__(self, play: Callable[[], Sampled], courses: Sampled | None = None) -> None:
+        self._play = play
+        if courses is not None:
+            self.courses = courses
+
+    @cached_property
+    def courses(self) -> Sampled:
+        return self._play()
+
+    def let_go(self) -> None:
+        """Free the courses until they are read again."""
+        vars(self).pop("courses", None)
+
+
 @dataclass(frozen=True)
 class Replay:
     """The continuous-time motion under one command.
@@ -36,9 +74,8 @@ class Replay:
 
     Attributes
     ----------
-    acceleration_m_s2, plant_input : (N,) y'' and the plant's input at the switching instants.
+    samples, number : the courses of the replays that were played together, and the number of this one among them.
     figures : comparison with the recorded tap.
-    after_m_s2 : (M,) y'' at the instants of the tail.
     peak_input, peak_command : largest absolute values over all t.
     after_peak_m_s2 : largest |y''| after the waveform (`continuous.after_s`).
     reached : name of a limit -> largest absolute value over all t of the quantity it bounds; 0 for a limit that is
@@ -47,15 +84,13 @@ class Replay:
         command and, with a wall, from its feedback alone.
     winding_C, housing_C : highest temperatures over the horizon, or for taps that repeat over the periodic steady
         state; NaN without a coil model and for several motors.
-    command : (N,) the total command that was played; with a wall the transient plus the feedback of the replay.
     scale_m_s2 : reference for relative differences of y'': its peak, or what its rounding error makes significant.
     step_error : difference of y'' from a replay with half the step, relative to `scale_m_s2`.
     """
 
-    acceleration_m_s2: FloatArray
-    plant_input: FloatArray
+    samples: Samples
+    number: int
     figures: Figures
-    after_m_s2: FloatArray
     peak_input: float
     peak_command: float
     after_peak_m_s2: float
@@ -63,11 +98,30 @@ class Replay:
     reached_while_stated: Mapping[str, float]
     winding_C: float
     housing_C: float
-    command: FloatArray
     scale_m_s2: float
     step_error: float
 
     __repr__ = brief
+
+    @property
+    def acceleration_m_s2(self) -> FloatArray:
+        """(N,) y'' at the switching instants."""
+        return self.samples.courses.accelerations_m_s2[self.number][..., : self.command.shape[-1]]
+
+    @property
+    def after_m_s2(self) -> FloatArray:
+        """(M,) y'' at the instants of the tail."""
+        return self.samples.courses.accelerations_m_s2[self.number][..., self.command.shape[-1] :]
+
+    @property
+    def plant_input(self) -> FloatArray:
+        """(N,) plant's input at the switching instants."""
+        return self.samples.courses.plant_inputs[self.number]
+
+    @property
+    def command(self) -> FloatArray:
+        """(N,) the total command that was played; with a wall the transient plus the feedback of the replay."""
+        return self.samples.courses.commands[self.number]
 
     def peak(self, limit: Limit) -> float:
         """Largest absolute value over all t of the quantity a limit bounds; NaN if the replay did not check it."""
@@ -256,6 +310,7 @@ def replay(
     budgets: Sequence[Budget] | None = None,
     count_m: float = 0.0,
     simulated: Course | None = None,
+    again: Callable[[], FloatArray] | None = None,
     spread: tuple[StageModel, ...] = (),
     yardstick: Yardstick | None = None,
 ) -> list[Replay]:
@@ -274,19 +329,18 @@ def replay(
     budgets : one per command, with a common tap rate; with a tap rate the temperatures are those of the periodic
         steady state.
     simulated : the simulation of these commands, if they were simulated together with others.
+    again : makes the commands again where the replays' courses are let go and then read; by default they are kept.
     spread : further devices that the commands serve. Limits on the motion are checked on each of them by a separate
         simulation; all other results are those of the first device.
     yardstick : rule by which figures are computed; by default with a tap's intention of 30 ms.
     """
-    if simulated is None:
-        loop = None if walls is None else Loop(walls, count_m)
-        simulated = accurate(stage, grid, commands, loop)
-    figures = figures_of(simulated, Yardstick(grid) if yardstick is None else yardstick, targets)
-    course, step_error, limits = simulated, simulated.step_error, limits or [Limits()] * len(commands)
-    runs = [course]
-    acceleration, later = np.split(course.accelerations, [grid.stages], axis=-1)
-    at_switching = course.inputs[:, course.period.arriving, :, course.period.at_switching]
-    plant_input = lone(at_switching[..., : grid.stages].copy())
+    loop = None if walls is None else Loop(walls, count_m)
+    course = accurate(stage, grid, commands, loop) if simulated is None else simulated
+    again = partial(np.asarray, commands) if again is None else again
+    samples = Samples(partial(_played_again, stage, grid, again, loop), _sampled(course))
+    acceleration = samples.courses.accelerations_m_s2[..., : grid.stages]
+    figures = figures_of(course, Yardstick(grid) if yardstick is None else yardstick, targets)
+    runs, step_error, limits = [course], course.step_error, limits or [Limits()] * len(commands)
     winding = housing = np.full(len(commands), np.nan)
     if coil is not None:
         winding, housing = _temperatures(course, stage.amplifier, coil, budgets)
@@ -299,10 +353,9 @@ def replay(
     numbers = np.stack([*peaks, winding, housing, scale, step_error], axis=1).tolist()
     return [
         Replay(
-            acceleration_m_s2=acceleration[m],
-            plant_input=plant_input[m],
+            samples=samples,
+            number=m,
             figures=figures[m],
-            after_m_s2=later[m],
             peak_input=peak_input,
             peak_command=peak_command,
             after_peak_m_s2=after_peak,
@@ -310,12 +363,24 @@ def replay(
             reached_while_stated={limit.name: float(early[limit.name][m]) for limit in limits[m]},
             winding_C=winding_C,
             housing_C=housing_C,
-            command=course.command[m],
             scale_m_s2=scale_m_s2,
             step_error=by_step,
         )
         for m, (peak_input, peak_command, after_peak, winding_C, housing_C, scale_m_s2, by_step) in enumerate(numbers)
     ]
+
+
+def _sampled(course: Course) -> Sampled:
+    """The courses of a simulation at the switching instants."""
+    at_switching = course.inputs[:, course.period.arriving, :, course.period.at_switching]
+    plant_inputs = lone(at_switching[..., : course.command.shape[-1]].copy())
+    return Sampled(course.accelerations, plant_inputs, course.command)
+
+
+def _played_again(
+    stage: StageModel, grid: TimeGrid, again: Callable[[], FloatArray], loop: Loop | None
+) -> Sampled:
+    return _sampled(accurate(stage, grid, again(), loop))
 
 
 def replayed(
@@ -325,6 +390,7 @@ def replayed(
     *,
     uncorrected: Sequence[Target] | None = None,
     simulated: Course | None = None,
+    again: Callable[[], FloatArray] | None = None,
 ) -> list[Replay]:
     """`replay` M commands (M, N), or (M, m, N), each in its problem; with a wall they are the transients.
 
@@ -332,6 +398,7 @@ def replayed(
     ----------
     problems : one per command, all with the same devices and time axis; targets, limits and budgets may differ.
     uncorrected : targets that the figures refer to; by default those of the problems.
+    simulated, again : as of `replay`.
     """
     first = problems[0]
     return replay(
@@ -344,6 +411,7 @@ def replayed(
         walls=[problem.wall for problem in problems if problem.wall is not None] or None,
         budgets=[problem.thermal.budget for problem in problems if problem.thermal is not None] or None,
         simulated=simulated,
+        again=again,
         spread=first.spread,
         yardstick=first.yardstick,
     )

@@ -125,6 +125,10 @@ class Reference:
     @cached_property
     def target(self) -> Target:
         """Target of the device at this speed: r - a_free and a_free itself."""
+        return self.aimed()
+
+    def aimed(self, into: FloatArray | None = None) -> Target:
+        """`target` with r - a_free written into an array (K,), or (p, K), which it then shares."""
         lost, stages = self.recorded_before_m_s2.shape[-1], self.recorded_m_s2.shape[-1]
         count = lost + stages + self.recorded_after_m_s2.shape[-1]
         if self.recorded_m_s2.ndim == 1:
@@ -134,7 +138,7 @@ class Reference:
             free = np.concatenate([getattr(self, name) for name in COURSES[3:6]], axis=-1)
         if recorded.ndim > free.ndim:  # a_free is along the normal only
             free = along_normal(free, len(recorded))
-        return Target.of_whole(recorded - free, free, lost, stages)
+        return Target.of_whole(np.subtract(recorded, free, out=into), free, lost, stages)
 
     @property
     def in_words(self) -> str:

@@ -27,6 +27,8 @@ from transopt.references.reference import Free, Reference, TimeAxis, build_refer
 ALIKE = 0.05  # relative difference of grips that the hysteresis of a grip sensor cannot resolve
 ROUNDING = 1e-9  # relative difference up to which a grip or speed is a recorded one
 COST = "a 3 N tap as target raises the error above 30 Hz from 6.4 to 17 % at 1 N, from 7.9 to 15.5 % at 5 N"
+# The target's courses in `Cells`, in the order of time.
+TARGETS = ("target_before_m_s2", "target_m_s2", "target_after_m_s2")
 Scaled = tuple[PreparedTap, float]  # a tap and the factor that scales it to a grid speed
 
 
@@ -37,7 +39,7 @@ class Cells:
     Attributes
     ----------
     rows : speeds or named targets outermost, grips within.
-    courses : name in `COURSES` -> (rows, grips, samples), or (rows, grips, directions, samples).
+    courses : name in `COURSES` and `TARGETS` -> (rows, grips, samples), or (rows, grips, directions, samples).
     """
 
     rows: list[list[Reference]]
@@ -48,18 +50,23 @@ class Cells:
         """Copy references into common arrays, as `made` produces them for a row and a grip."""
         first = made(0, 0)
         stacked = np.empty((rows, grips, first.stacked.size))
+        asked = np.empty((rows, grips, *first.target.whole_m_s2.shape))
 
         def moved(i: int, j: int) -> Reference:
             cell = made(i, j)
             stacked[i, j] = cell.stacked
-            return cell.with_courses(stacked[i, j])
+            found = cell.with_courses(stacked[i, j])
+            vars(found)["target"] = found.aimed(asked[i, j])
+            return found
 
         cells = [[moved(i, j) for j in range(grips)] for i in range(rows)]
         courses = {
             name: stacked[..., part].reshape(rows, grips, *shape)
             for name, (part, shape) in first.within_stacked.items()
         }
-        return cls(cells, courses)
+        lost, stages = first.target.lost, first.recorded_m_s2.shape[-1]
+        parts = np.split(asked, [lost, lost + stages], axis=-1)
+        return cls(cells, courses | dict(zip(TARGETS, parts, strict=True)))
 
 
 @dataclass(frozen=True)
