@@ -110,13 +110,12 @@ class Context:
     def cells(self) -> Cells:
         """References of all entries of the scene."""
         rows, grips = self.scene.axes.rows, self.scene.axes.grips_N
-        of_grips = [self.references if self.scene.targets else self.references.of_grip(grip_N) for grip_N in grips]
 
-        def made(i: int, j: int) -> Reference:
-            speed_m_s, target = rows[i]
-            return of_grips[j].named(target) if target else of_grips[j].at(speed_m_s, grips[j])
+        def column(grip_N: float) -> list[Reference]:
+            known = self.references if self.scene.targets else self.references.of_grip(grip_N)
+            return [known.named(target) if target else known.at(speed_m_s, grip_N) for speed_m_s, target in rows]
 
-        return Cells.of(made, len(rows), len(grips))
+        return Cells.of(map(column, grips), len(grips))
 
     @cached_property
     def posing(self) -> Posing:

@@ -54,7 +54,8 @@ class EntryArrays:
                 found[:, self._number] = values
         for row, entry in enumerate(column):
             for name, course in of_sides(entry.solution.multipliers).items():
-                self._of(name, course.shape)[row, self._number] = course
+                at = np.flatnonzero(course)
+                self._of(name, course.shape)[row, self._number, at] = course[at]
             self._share(entry, row)
 
     def _of(self, name: str, shape: tuple[int, ...], dtype: Any = float) -> Any:
@@ -77,7 +78,7 @@ class EntryArrays:
             vars(designed).update(unlimited_command=command)
 
     def arrays(self, further: Sequence[str]) -> dict[str, Any]:
-        """The arrays of all entries, which have been added, by name, and those of their multipliers.
+        """The arrays of all entries, which have been added, by name, and those of their multipliers above zero.
 
         Parameters
         ----------
@@ -87,6 +88,6 @@ class EntryArrays:
         assert self._number == self._shape[1]
         found = self._found
         texts = {name: np.array(found[name].tolist()) for name, array in self._made.items() if array.is_text}
-        sides = {name: self._of(name, (found["command"].shape[-1],)) for name in (*MULTIPLIERS, *further)}
+        sides = {name: found[name] for name in (*MULTIPLIERS, *further) if name in found}
         same = {"transient_command": found.get("transient_command", found["command"])}
         return {name: found[name] for name in self._made if name in found} | same | texts | sides

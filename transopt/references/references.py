@@ -7,7 +7,7 @@ the recorded grips the nearest one is used. Taps that state no grip are used for
 
 import math
 from bisect import bisect_left
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -46,26 +46,25 @@ class Cells:
     courses: dict[str, FloatArray]
 
     @classmethod
-    def of(cls, made: Callable[[int, int], Reference], rows: int, grips: int) -> "Cells":
-        """Copy references into common arrays, as `made` produces them for a row and a grip."""
-        first = made(0, 0)
-        stacked = np.empty((rows, grips, first.stacked.size))
-        asked = np.empty((rows, grips, *first.target.whole_m_s2.shape))
-
-        def moved(i: int, j: int) -> Reference:
-            cell = made(i, j)
-            stacked[i, j] = cell.stacked
-            found = cell.with_courses(stacked[i, j])
-            vars(found)["target"] = found.aimed(asked[i, j])
-            return found
-
-        cells = [[moved(i, j) for j in range(grips)] for i in range(rows)]
+    def of(cls, columns: Iterable[Sequence[Reference]], grips: int) -> "Cells":
+        """Copy references into common arrays, grip by grip, so that those of one grip are in memory twice at most."""
+        cells = list[list[Reference]]()
+        for j, column in enumerate(columns):
+            if not cells:
+                first, target = column[0], column[0].target
+                cells = [[] for _ in column]
+                stacked = np.empty((len(column), grips, first.stacked.size))
+                asked = np.empty((len(column), grips, *target.whole_m_s2.shape))
+            for i, cell in enumerate(column):
+                stacked[i, j] = cell.stacked
+                moved = cell.with_courses(stacked[i, j])
+                vars(moved)["target"] = moved.aimed(asked[i, j])
+                cells[i].append(moved)
+        parts = np.split(asked, [target.lost, target.lost + first.recorded_m_s2.shape[-1]], axis=-1)
         courses = {
-            name: stacked[..., part].reshape(rows, grips, *shape)
+            name: stacked[..., part].reshape(*stacked.shape[:2], *shape)
             for name, (part, shape) in first.within_stacked.items()
         }
-        lost, stages = first.target.lost, first.recorded_m_s2.shape[-1]
-        parts = np.split(asked, [lost, lost + stages], axis=-1)
         return cls(cells, courses | dict(zip(TARGETS, parts, strict=True)))
 
 
