@@ -316,7 +316,8 @@ def _assembled(
         "nominal_position_at_ticks_m": at_ticks[..., : scene.stages],
         "nominal_after_at_ticks_m": at_ticks[..., scene.stages :],
         **table.arrays(further),
-        "correction_m_s2": np.zeros((len(cells), len(plants), *entries[0][0].problem.reference_m_s2.shape)),
+        # One zero for all: a library that was not refined on its device has no correction.
+        "correction_m_s2": np.broadcast_to(0.0, table.shape + entries[0][0].problem.reference_m_s2.shape),
         **{f"plant_{name}": np.stack([getattr(plant, name) for plant in plants]) for name in PLANT},
         **{f"spread_{name}": stacked(name) for name in PLANT},
     }

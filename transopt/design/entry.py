@@ -101,11 +101,7 @@ class Entry(Answered):
         return found
 
     def let_go(self) -> None:
-        """Free the trajectories cached by the search and the certificate; they are recomputed when read again.
-
-        Admission and binding limits are computed first, since they read most of these trajectories.
-        """
-        _ = self.admitted and self.binding
+        """Free the trajectories cached by the search and the certificate; they are recomputed when read again."""
         problem, effect = self.problem, self.designed.effect
         # A nonlinear plant's motion would have to be integrated again.
         linear = self.designed.nonlinear is None

@@ -23,7 +23,7 @@ class EntryArrays:
     """
 
     def __init__(self, rows: int, devices: int, without: Collection[str] = ()) -> None:
-        self._shape, self._number, self._complete = (rows, devices), 0, True
+        self.shape, self._number, self._complete = (rows, devices), 0, True
         self._made = {name: array for name, array in ARRAYS.items() if array.made and name not in without}
         self._found = dict[str, Any]()
 
@@ -53,22 +53,23 @@ class EntryArrays:
             if array.is_text or values.any():
                 found[:, self._number] = values
         for row, entry in enumerate(column):
-            for name, course in of_sides(entry.solution.multipliers).items():
+            sides = of_sides(entry.solution.multipliers)
+            for name, course in sides.items():
                 at = np.flatnonzero(course)
                 self._of(name, course.shape)[row, self._number, at] = course[at]
-            self._share(entry, row)
+            self._share(entry, row, sides)
 
     def _of(self, name: str, shape: tuple[int, ...], dtype: Any = float) -> Any:
         """The array of a name, zeros at first, for values of one shape."""
         if name not in self._found:
-            self._found[name] = np.zeros((*self._shape, *shape), dtype=dtype)
+            self._found[name] = np.zeros((*self.shape, *shape), dtype=dtype)
         return self._found[name]
 
-    def _share(self, entry: Entry, row: int) -> None:
-        """Let an entry hold views of the arrays in place of its own command and multipliers."""
+    def _share(self, entry: Entry, row: int, sides: Collection[str]) -> None:
+        """Let an entry hold views of the arrays in place of its own command and multipliers of some `sides`."""
         designed, answer, multipliers = entry.designed, entry.solution, entry.solution.multipliers
         zero = Multipliers.zero(entry.problem, multipliers.hand_over)
-        views = {name: self._found[name][row, self._number] for name in (*of_sides(multipliers), "command")}
+        views = {name: self._found[name][row, self._number] for name in (*sides, "command")}
         before, command = answer.command, views.pop("command")
         slope = self._found["current_sign"][row, self._number] if multipliers.slope.any() else zero.slope
         shared = replace(zero, pairs=pairs_of(views, zero.slope), slope=slope)
@@ -85,7 +86,7 @@ class EntryArrays:
         further : names of multiplier arrays that not every library has (`further_arrays`).
         """
         assert self._complete
-        assert self._number == self._shape[1]
+        assert self._number == self.shape[1]
         found = self._found
         texts = {name: np.array(found[name].tolist()) for name, array in self._made.items() if array.is_text}
         sides = {name: found[name] for name in (*MULTIPLIERS, *further) if name in found}

@@ -71,10 +71,11 @@ def _verified(library: Library, progress: Callable[[int], None]) -> list[Entry]:
         # A device with a wall adds the file's transient to its own feedback.
         played = library.command if library.wall() is None else library.transient_command
         batch = Batch(designed, library.coil(), library.steady_input, uncorrected, played[:, ig])
-        for iv in range(nv):
-            entry = _entry(library, iv, ig, batch, options)
-            checked[iv, ig] = entry.stating(shortfalls=_shortfalls(library, iv, ig, entry))
-            checked[iv, ig].let_go()
+        entries = {iv: _entry(library, iv, ig, batch, options) for iv in range(nv)}
+        off = departures(library, ig, entries, replayed=True, of_bound=Certificate.GAP_TOLERANCE)
+        for iv, entry in entries.items():
+            checked[iv, ig] = entry.stating(shortfalls=_shortfalls(library, iv, ig, entry, off[iv]))
+            entry.let_go()
             progress(1)
         batch.let_go()
     return [checked[iv, ig] for iv in range(nv) for ig in range(ng)]
@@ -95,8 +96,13 @@ def _entry(library: Library, iv: int, ig: int, batch: Batch, options: SolverOpti
     )
 
 
-def _shortfalls(library: Library, iv: int, ig: int, entry: Entry) -> list[str]:
-    """Reasons against an entry, or against the linear design stored beside it; empty if it passes."""
+def _shortfalls(library: Library, iv: int, ig: int, entry: Entry, off: Sequence[str]) -> list[str]:
+    """Reasons against an entry, or against the linear design stored beside it; empty if it passes.
+
+    Parameters
+    ----------
+    off : its `departures`.
+    """
     designed, played = entry.designed, entry.played
     found = [f"status in the file: {library.status[iv, ig]}"]
     if entry.solution.status is Status.OPTIMAL:
@@ -107,10 +113,10 @@ def _shortfalls(library: Library, iv: int, ig: int, entry: Entry) -> list[str]:
         found = list(reasons)
         if status is Status.STATIONARY and library.status[iv, ig] == Status.OPTIMAL.value:
             found = [f"status in the file: {Status.OPTIMAL.value}; proven is: {status.value}"]
-    found += departures(library, iv, ig, entry, replayed=True, of_bound=Certificate.GAP_TOLERANCE)
-    off = float(np.abs(library.plant_input[iv, ig] - played.plant_input).max())
-    if not off <= tolerated(entry.problem.limits.input_limit):
-        found.append(f"plant_input differs from the replay by {off:.1e} {entry.unit}")
+    found += off
+    beside = float(np.abs(library.plant_input[iv, ig] - played.plant_input).max())
+    if not beside <= tolerated(entry.problem.limits.input_limit):
+        found.append(f"plant_input differs from the replay by {beside:.1e} {entry.unit}")
     return found + ([] if designed.nonlinear is None else _of_linear_design(entry))
 
 

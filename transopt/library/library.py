@@ -38,8 +38,8 @@ class Library(Posed):
     `transopt.library.arrays.Array`. `meta` is the file's JSON: the scene, numbers derived from it, the recordings and
     the versions used. The problem of an entry is the scene's, with the plants and the targets of the file; nothing
     else states it.
-    `multipliers_of` maps each array name mu_<row>_<side> of the file to its array, one for each side of each limit's
-    row. The list of limits determines the names (`MULTIPLIERS`).
+    `multipliers_of` maps array names mu_<row>_<side> of the file to their arrays, one for each side of each limit's
+    row; one that it does not have is zero. The list of limits determines the names (`MULTIPLIERS`).
 
     r is the recorded acceleration, a_free the acceleration of the stylus without a command. J compares y'', which the
     command adds, with the target r - a_free.

@@ -43,6 +43,7 @@ def of_sides(multipliers: Multipliers) -> dict[str, FloatArray]:
     return {
         f"mu_{row}_{side}": values
         for row, pair in multipliers.pairs.items()
+        if multipliers.most(row) > 0
         for side, values in zip(SIDES, pair, strict=True)
         if values.any()
     }

@@ -13,7 +13,7 @@ Therefore a library is checked before it is played, shown or exported:
 `transopt verify` uses the same comparison with a replay by another integrator.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -91,6 +91,7 @@ def _of_grip(library: Library, ig: int) -> Iterator[str]:
     targets = [uncorrected_of(library, iv, ig, designed.problem) for iv, designed in enumerate(answers)]
     made = np.stack([designed.effect.lasting.acceleration_m_s2 for designed in answers])
     figures = answers[0].problem.yardstick.figures_of(targets, made)
+    proven = dict[int, Stored]()
     for iv, designed in enumerate(answers):
         where = f"entry {library.axes.place(iv, ig)}: "
         if designed.solution.status is not Status.OPTIMAL:
@@ -101,9 +102,10 @@ def _of_grip(library: Library, ig: int) -> Iterator[str]:
         if not (proof.accepted or (proof.is_stationary and (claims_no_more or not available))):
             yield where + proof.shortfall
             continue
-        again = Stored(designed, targets[iv], figures[iv], library.posing().objective)
-        yield from (where + off for off in departures(library, iv, ig, again))
-        yield from (where + off for off in _peaks(library, iv, ig, again))
+        proven[iv] = Stored(designed, targets[iv], figures[iv], library.posing().objective)
+    for iv, said in departures(library, ig, proven).items():
+        where = f"entry {library.axes.place(iv, ig)}: "
+        yield from (where + off for off in (*said, *_peaks(library, iv, ig, proven[iv])))
 
 
 def _proofs(answers: Sequence[tuple[Effect, Multipliers]]) -> list[Certificate]:
@@ -201,40 +203,43 @@ MAY_BE_UNKNOWN = ("objective", "primal_violation", "duality_gap", "dual_residual
 
 def departures(
     library: Library,
-    iv: int,
     ig: int,
-    again: Answered,
+    again: Mapping[int, Answered],
     *,
     replayed: bool = False,
     of_bound: float = Certificate.BOUND_TOLERANCE,
-) -> Iterator[str]:
-    """Differences between what a file states of an entry and the answer computed again, one phrase each.
+) -> dict[int, list[str]]:
+    """Differences between what a file states of entries and the answers computed again, one phrase each.
 
     Parameters
     ----------
-    again : the answer computed again, which `Array.made` reads.
+    again : iv of an entry of the grip -> its answer computed again, which `Array.made` reads.
     replayed : whether its figures come from a replay, so that all replayed arrays (`Array.replayed`) are compared.
     of_bound : relative excess of the stated lower bound over the one computed here; methods find different bounds.
     """
+    found, rows = {iv: list[str]() for iv in again}, [*again]
     for name, array in ARRAYS.items():
         by_replay = replayed and array.replayed
         if array.made is None or not (by_replay or name in WITHIN):
             continue
-        stored, value = getattr(library, name)[iv, ig], array.made(again)
+        stated, values = getattr(library, name)[rows, ig], [array.made(each) for each in again.values()]
         # Most values are the same to the last bit, which is found faster than how far apart two of them are.
-        if stored == value if isinstance(value, float) else (stored == value).all():
-            continue
-        within = REPLAYED * _peak(value) + ROUNDING if by_replay else WITHIN[name](again, value)
-        off = _peak(stored - value)
-        if off <= within or np.array_equal(stored, value, equal_nan=True):
-            continue
-        if isinstance(value, np.ndarray):
-            yield f"{name} is off by {off:.3g}"
-        elif not (name in MAY_BE_UNKNOWN and np.isnan(off)):
-            yield f"{name} says {stored:.8g}, recomputed {value:.8g}"
-    yield from _off_bound(float(library.lower_bound[iv, ig]), again.certificate, of_bound)
-    if str(library.binding[iv, ig]) != again.binding:
-        yield f"binding says {str(library.binding[iv, ig])!r}, recomputed {again.binding!r}"
+        differ = (stated != np.array(values)).reshape(len(rows), -1).any(axis=1)
+        for number in np.flatnonzero(differ).tolist():
+            stored, value, answer = stated[number], values[number], again[rows[number]]
+            within = REPLAYED * _peak(value) + ROUNDING if by_replay else WITHIN[name](answer, value)
+            off = _peak(stored - value)
+            if off <= within or np.array_equal(stored, value, equal_nan=True):
+                continue
+            if isinstance(value, np.ndarray):
+                found[rows[number]].append(f"{name} is off by {off:.3g}")
+            elif not (name in MAY_BE_UNKNOWN and np.isnan(off)):
+                found[rows[number]].append(f"{name} says {stored:.8g}, recomputed {value:.8g}")
+    for iv, answer in again.items():
+        found[iv] += _off_bound(float(library.lower_bound[iv, ig]), answer.certificate, of_bound)
+        if str(library.binding[iv, ig]) != answer.binding:
+            found[iv].append(f"binding says {str(library.binding[iv, ig])!r}, recomputed {answer.binding!r}")
+    return found
 
 
 def _off_bound(claimed: float, proof: Certificate, of_bound: float) -> Iterator[str]:

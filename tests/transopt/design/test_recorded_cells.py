@@ -12,7 +12,8 @@ from transopt.base.errors import InputError
 from transopt.design.build import build_library
 from transopt.design.context import Context
 from transopt.recordings.recording import Recording
-from transopt.references.references import References
+from transopt.references.reference import COURSES
+from transopt.references.references import TARGETS, References
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
@@ -34,9 +35,14 @@ def test_cells_are_the_references_of_the_grid_in_common_arrays(scene: Scene, rec
         for j, cell in enumerate(row):
             wanted = recorded.at(between.grid.speeds_m_s[i], between.grid.grips_N[j])
             assert (cell.speed_m_s, cell.grip_N, cell.taps) == (wanted.speed_m_s, wanted.grip_N, wanted.taps)
-            for name, course in cells.courses.items():
-                np.testing.assert_allclose(course[i, j], getattr(wanted, name), rtol=1e-12, atol=1e-15)
-                assert np.shares_memory(course[i, j], getattr(cell, name)) or course.size == 0
+            of_target = zip(TARGETS, ("before_m_s2", "window_m_s2", "after_m_s2"), strict=True)
+            named = [(name, cell, wanted, name) for name in COURSES]
+            named += [(name, cell.target, wanted.target, part) for name, part in of_target]
+            assert {name for name, *_ in named} == set(cells.courses)
+            for name, own, expected, part in named:
+                course = cells.courses[name][i, j]
+                np.testing.assert_allclose(course, getattr(expected, part), rtol=1e-12, atol=1e-15)
+                assert np.shares_memory(course, getattr(own, part)) or course.size == 0
 
 
 @pytest.fixture(scope="module")
