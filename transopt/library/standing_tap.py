@@ -32,6 +32,7 @@ from transopt.solvers.standing import Proof, Standing, stands
 
 MARGIN = 24  # stages beyond the last at which a limit is expected to bind, up to which it is stated
 NEAR = 0.02  # share of a limit within which a guess of the optimum without limits may leave it
+BARELY = 0.06  # share of a limit up to which an excess of that guess tells where the limit will bind
 SURELY_A_TAP = 10.0  # rms of a target, in units of that which counts as zero, from which no closer look is needed
 
 
@@ -145,12 +146,14 @@ class StandingTap:
         values : (rows, N) of the optimum without limits, blended from the nodes' own, over the limits. They tell
             nearly always whether one binds.
         """
-        excess = float(np.maximum(values - self._upper, self._lower - values).max())
-        if not excess > -NEAR:
+        excess = np.maximum(values - self._upper, self._lower - values).max(axis=0)
+        most = float(excess.max())
+        if not most > -NEAR:
             yield None
-        cut = self._expected(between)
-        if not excess > NEAR:
-            cut = 3 * cut // 2  # limits that only just bind do so later than in the nodes
+        # Limits that barely bind do so where the optimum without limits comes near them. NaN counts as near.
+        near, cut = MARGIN + 1 + int(np.flatnonzero(~(excess <= -NEAR)).max(initial=-1)), self._expected(between)
+        if not most > BARELY:
+            cut = min(4 * cut // 3, near) if cut > 0 else near
         while 0 < cut <= 3 * self._problem.free_stages // 4:
             yield cut
             cut = 3 * cut // 2
