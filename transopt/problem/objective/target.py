@@ -62,6 +62,8 @@ class Target:
     @classmethod
     def of_whole(cls, whole: FloatArray, free: FloatArray, lost: int, stages: int) -> "Target":
         """The target whose courses are parts of r - a_free and a_free, each (L + N + M,), with L `lost` samples."""
+        # A part of what cannot be edited cannot be edited either.
+        whole, free = read_only(whole), read_only(free)
         parts = (slice(lost, lost + stages), slice(lost + stages, None), slice(lost))
         found = cls(*(course[..., part] for course in (whole, free) for part in parts))
         vars(found).update(whole_m_s2=whole, free_m_s2=free)
