@@ -50,8 +50,10 @@ class Batch:
         *,
         with_rivals: bool = False,
     ) -> None:
-        self._stated, self._with_rivals = transients, with_rivals
-        self.designed, self._coil, self._steady_input = designed, coil, steady_input
+        # Replays keep this function, to play again, and must not keep the batch, which keeps them.
+        self._transients = partial(_transients, designed, transients)
+        self._with_rivals, self.designed = with_rivals, designed
+        self._coil, self._steady_input = coil, steady_input
         self.uncorrected = [each.problem.target for each in designed] if uncorrected is None else uncorrected
 
     @cached_property
@@ -60,11 +62,14 @@ class Batch:
         if self.designed[0].nonlinear is not None:
             return [both[1] for both in self._on_nonlinear_plant]
         simulated = self._together.of(slice(len(self.designed))) if self._share else None
-        problems = [each.problem for each in self.designed]
-        # What makes the commands again does not hold the batch, whose replays hold it.
-        again = partial(_transients, self.designed, self._stated)
-        told = {"uncorrected": self.uncorrected, "simulated": simulated, "again": again}
-        return replayed(problems, self._transients, self._coil, **told)
+        return replayed(
+            [each.problem for each in self.designed],
+            self._transients(),
+            self._coil,
+            uncorrected=self.uncorrected,
+            simulated=simulated,
+            again=self._transients,
+        )
 
     def let_go(self) -> None:
         """Free the courses of the replays, which are played again when they are read."""
@@ -98,11 +103,7 @@ class Batch:
     def _together(self) -> Course:
         """One simulation of the M answers followed by the 4 M baselines."""
         problem = self.designed[0].problem
-        return accurate(problem.stage, problem.grid, np.concatenate([self._transients, self._rival_commands]), None)
-
-    @property
-    def _transients(self) -> FloatArray:
-        return _transients(self.designed, self._stated)
+        return accurate(problem.stage, problem.grid, np.concatenate([self._transients(), self._rival_commands]), None)
 
     @cached_property
     def _on_nonlinear_plant(self) -> list[list[Replay]]:

@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from transopt.design.entry import Entry
 from transopt.library.multipliers import ARRAYS, MULTIPLIERS, of_sides, pairs_of
@@ -24,7 +25,11 @@ class EntryArrays:
 
     def __init__(self, rows: int, devices: int, without: Collection[str] = ()) -> None:
         self.shape, self._number, self._complete = (rows, devices), 0, True
-        self._made = {name: array for name, array in ARRAYS.items() if array.made and name not in without}
+        self._made = {
+            name: (array.made, array.is_text)
+            for name, array in ARRAYS.items()
+            if array.made is not None and name not in without
+        }
         self._found = dict[str, Any]()
 
     def add(self, column: Sequence[Entry]) -> None:
@@ -44,13 +49,13 @@ class EntryArrays:
     def _add(self, column: Sequence[Entry]) -> None:
         # Without a wall there is no feedback beside the transient.
         same = {"transient_command"} if column[0].problem.wall is None else set()
-        for name, array in self._made.items():
+        for name, (made, is_text) in self._made.items():
             if name in same:
                 continue
-            values = np.array([array.made(entry) for entry in column], dtype=object if array.is_text else float)
+            values: NDArray[Any] = np.array([made(entry) for entry in column], dtype=object if is_text else float)
             found = self._of(name, values.shape[1:], values.dtype)
             # Memory of zeros that is never written to is not allocated.
-            if array.is_text or values.any():
+            if is_text or values.any():
                 found[:, self._number] = values
         for row, entry in enumerate(column):
             sides = of_sides(entry.solution.multipliers)
@@ -88,7 +93,7 @@ class EntryArrays:
         assert self._complete
         assert self._number == self.shape[1]
         found = self._found
-        texts = {name: np.array(found[name].tolist()) for name, array in self._made.items() if array.is_text}
+        texts = {name: np.array(found[name].tolist()) for name, (_, is_text) in self._made.items() if is_text}
         sides = {name: found[name] for name in (*MULTIPLIERS, *further) if name in found}
         same = {"transient_command": found.get("transient_command", found["command"])}
         return {name: found[name] for name in self._made if name in found} | same | texts | sides

@@ -1,6 +1,6 @@
 """A library's entries solved again for corrected references, under the limits that they had."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import Any
 

@@ -10,7 +10,6 @@ neither its splitting nor its steps. All periods are integrated side by side and
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray

@@ -106,22 +106,22 @@ class Replay:
     @property
     def acceleration_m_s2(self) -> FloatArray:
         """(N,) y'' at the switching instants."""
-        return self.samples.courses.accelerations_m_s2[self.number][..., : self.command.shape[-1]]
+        return np.asarray(self.samples.courses.accelerations_m_s2[self.number][..., : self.command.shape[-1]])
 
     @property
     def after_m_s2(self) -> FloatArray:
         """(M,) y'' at the instants of the tail."""
-        return self.samples.courses.accelerations_m_s2[self.number][..., self.command.shape[-1] :]
+        return np.asarray(self.samples.courses.accelerations_m_s2[self.number][..., self.command.shape[-1] :])
 
     @property
     def plant_input(self) -> FloatArray:
         """(N,) plant's input at the switching instants."""
-        return self.samples.courses.plant_inputs[self.number]
+        return np.asarray(self.samples.courses.plant_inputs[self.number])
 
     @property
     def command(self) -> FloatArray:
         """(N,) the total command that was played; with a wall the transient plus the feedback of the replay."""
-        return self.samples.courses.commands[self.number]
+        return np.asarray(self.samples.courses.commands[self.number])
 
     def peak(self, limit: Limit) -> float:
         """Largest absolute value over all t of the quantity a limit bounds; NaN if the replay did not check it."""
@@ -377,9 +377,7 @@ def _sampled(course: Course) -> Sampled:
     return Sampled(course.accelerations, plant_inputs, course.command)
 
 
-def _played_again(
-    stage: StageModel, grid: TimeGrid, again: Callable[[], FloatArray], loop: Loop | None
-) -> Sampled:
+def _played_again(stage: StageModel, grid: TimeGrid, again: Callable[[], FloatArray], loop: Loop | None) -> Sampled:
     return _sampled(accurate(stage, grid, again(), loop))
 
 
