@@ -73,7 +73,7 @@ class Batch:
 
     def let_go(self) -> None:
         """Free the courses of the replays, which are played again when they are read."""
-        for played in self.replays[:1]:
+        for played in vars(self).get("replays", [])[:1]:
             played.samples.let_go()
 
     @cached_property

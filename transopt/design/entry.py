@@ -101,7 +101,8 @@ class Entry(Answered):
         return found
 
     def let_go(self) -> None:
-        """Free the trajectories cached by the search and the certificate; they are recomputed when read again."""
+        """Free the trajectories cached by search, certificate and replay; they are recomputed when read again."""
+        self.batch.let_go()
         problem, effect = self.problem, self.designed.effect
         # A nonlinear plant's motion would have to be integrated again.
         linear = self.designed.nonlinear is None

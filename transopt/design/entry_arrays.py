@@ -33,25 +33,18 @@ class EntryArrays:
         self._found = dict[str, Any]()
 
     def add(self, column: Sequence[Entry]) -> None:
-        """Replay and judge all entries of the next device, add their values if all are admitted, and free courses.
-
-        Commands and multipliers of the entries then are views of the arrays, so that they are in memory once.
-        """
+        """Replay and judge all entries of the next device, add their values if all are admitted, and free courses."""
         judged = [entry.admitted for entry in column]
         self._complete &= all(judged)
         if self._complete:
             self._add(column)
-            self._number += 1
         for entry in column:
             entry.let_go()
-        column[0].batch.let_go()
 
     def _add(self, column: Sequence[Entry]) -> None:
-        # Without a wall there is no feedback beside the transient.
-        same = {"transient_command"} if column[0].problem.wall is None else set()
         for name, (made, is_text) in self._made.items():
-            if name in same:
-                continue
+            if name == "transient_command" and column[0].problem.wall is None:
+                continue  # it is the command itself
             values: NDArray[Any] = np.array([made(entry) for entry in column], dtype=object if is_text else float)
             found = self._of(name, values.shape[1:], values.dtype)
             # Memory of zeros that is never written to is not allocated.
@@ -63,6 +56,7 @@ class EntryArrays:
                 at = np.flatnonzero(course)
                 self._of(name, course.shape)[row, self._number, at] = course[at]
             self._share(entry, row, sides)
+        self._number += 1
 
     def _of(self, name: str, shape: tuple[int, ...], dtype: Any = float) -> Any:
         """The array of a name, zeros at first, for values of one shape."""
@@ -71,17 +65,16 @@ class EntryArrays:
         return self._found[name]
 
     def _share(self, entry: Entry, row: int, sides: Collection[str]) -> None:
-        """Let an entry hold views of the arrays in place of its own command and multipliers of some `sides`."""
+        """Let an entry hold views of the arrays in place of its command and multipliers, which are in memory once."""
+        found = {name: array[row, self._number] for name, array in self._found.items()}
         designed, answer, multipliers = entry.designed, entry.solution, entry.solution.multipliers
         zero = Multipliers.zero(entry.problem, multipliers.hand_over)
-        views = {name: self._found[name][row, self._number] for name in (*sides, "command")}
-        before, command = answer.command, views.pop("command")
-        slope = self._found["current_sign"][row, self._number] if multipliers.slope.any() else zero.slope
-        shared = replace(zero, pairs=pairs_of(views, zero.slope), slope=slope)
-        vars(answer).update(command=command, multipliers=shared)
-        designed.effect.command = command
-        if designed.unlimited_command is before:
-            vars(designed).update(unlimited_command=command)
+        pairs = pairs_of({name: found[name] for name in sides}, zero.slope)
+        slope = found["current_sign"] if multipliers.slope.any() else zero.slope
+        if designed.unlimited_command is answer.command:
+            vars(designed).update(unlimited_command=found["command"])
+        designed.effect.command = found["command"]
+        vars(answer).update(command=found["command"], multipliers=replace(zero, pairs=pairs, slope=slope))
 
     def arrays(self, further: Sequence[str]) -> dict[str, Any]:
         """The arrays of all entries, which have been added, by name, and those of their multipliers above zero.
@@ -93,7 +86,7 @@ class EntryArrays:
         assert self._complete
         assert self._number == self.shape[1]
         found = self._found
+        named = (*self._made, *MULTIPLIERS, *further)
         texts = {name: np.array(found[name].tolist()) for name, (_, is_text) in self._made.items() if is_text}
-        sides = {name: found[name] for name in (*MULTIPLIERS, *further) if name in found}
-        same = {"transient_command": found.get("transient_command", found["command"])}
-        return {name: found[name] for name in self._made if name in found} | same | texts | sides
+        same = {"transient_command": found["command"]}
+        return same | {name: found[name] for name in named if name in found} | texts

@@ -75,9 +75,9 @@ def _verified(library: Library, progress: Callable[[int], None]) -> list[Entry]:
         off = departures(library, ig, entries, replayed=True, of_bound=Certificate.GAP_TOLERANCE)
         for iv, entry in entries.items():
             checked[iv, ig] = entry.stating(shortfalls=_shortfalls(library, iv, ig, entry, off[iv]))
-            entry.let_go()
             progress(1)
-        batch.let_go()
+        for entry in entries.values():
+            entry.let_go()
     return [checked[iv, ig] for iv in range(nv) for ig in range(ng)]
 
 

@@ -31,13 +31,7 @@ from transopt.proof.flow import Flow
 
 
 class Sampled(NamedTuple):
-    """Courses of M replays.
-
-    Attributes
-    ----------
-    accelerations_m_s2 : (M, instants) y'' at the switching instants of window and tail.
-    plant_inputs, commands : (M, N) the plant's input at the switching instants, and the total commands.
-    """
+    """Courses of M replays: (M, instants) y'' in window and tail, (M, N) the plant's inputs and total commands."""
 
     accelerations_m_s2: FloatArray
     plant_inputs: FloatArray
@@ -45,17 +39,10 @@ class Sampled(NamedTuple):
 
 
 class Samples:
-    """Courses of M replays, which may be let go: the commands make them again when they are read.
+    """Courses of M replays, which may be let go: `play` makes them again when they are read."""
 
-    Parameters
-    ----------
-    play : makes the courses. courses : those that it makes, if they are known already.
-    """
-
-    def __init__(self, play: Callable[[], Sampled], courses: Sampled | None = None) -> None:
+    def __init__(self, play: Callable[[], Sampled]) -> None:
         self._play = play
-        if courses is not None:
-            self.courses = courses
 
     @cached_property
     def courses(self) -> Sampled:
@@ -337,7 +324,8 @@ def replay(
     loop = None if walls is None else Loop(walls, count_m)
     course = accurate(stage, grid, commands, loop) if simulated is None else simulated
     again = partial(np.asarray, commands) if again is None else again
-    samples = Samples(partial(_played_again, stage, grid, again, loop), _sampled(course))
+    samples = Samples(partial(_sampled, stage, grid, again, loop))
+    samples.courses = _at_instants(course)
     acceleration = samples.courses.accelerations_m_s2[..., : grid.stages]
     figures = figures_of(course, Yardstick(grid) if yardstick is None else yardstick, targets)
     runs, step_error, limits = [course], course.step_error, limits or [Limits()] * len(commands)
@@ -370,15 +358,15 @@ def replay(
     ]
 
 
-def _sampled(course: Course) -> Sampled:
-    """The courses of a simulation at the switching instants."""
+def _sampled(stage: StageModel, grid: TimeGrid, again: Callable[[], FloatArray], loop: Loop | None) -> Sampled:
+    """The courses of commands that are simulated again, at the switching instants."""
+    return _at_instants(accurate(stage, grid, again(), loop))
+
+
+def _at_instants(course: Course) -> Sampled:
     at_switching = course.inputs[:, course.period.arriving, :, course.period.at_switching]
     plant_inputs = lone(at_switching[..., : course.command.shape[-1]].copy())
     return Sampled(course.accelerations, plant_inputs, course.command)
-
-
-def _played_again(stage: StageModel, grid: TimeGrid, again: Callable[[], FloatArray], loop: Loop | None) -> Sampled:
-    return _sampled(accurate(stage, grid, again(), loop))
 
 
 def replayed(

@@ -154,8 +154,11 @@ def test_an_entry_that_has_let_its_courses_go_tells_the_same(scene: Scene, taps:
     (entry,) = design([Context.recorded(scene, taps).posed(0.4, 5.0)])
     effect, target, tracking = entry.designed.effect, entry.problem.target, entry.problem.tracking
     rise_K, recorded, wanted = effect.rise_K, target.recorded_m_s2, tracking.wanted
-    felt = entry.predicted_m_s2
+    felt, made, played = entry.predicted_m_s2, entry.made_m_s2, entry.played.plant_input
     entry.let_go()
+    assert "courses" not in vars(entry.played.samples)
+    np.testing.assert_allclose(entry.made_m_s2, made, atol=1e-12 * np.abs(made).max())
+    np.testing.assert_allclose(entry.played.plant_input, played, atol=1e-12)
     freed = {"rise_K", "recorded_m_s2", "wanted", "motion", "lasting"}
     assert not freed & {*vars(effect), *vars(target), *vars(tracking)}
     np.testing.assert_allclose(entry.predicted_m_s2, felt)
@@ -164,6 +167,26 @@ def test_an_entry_that_has_let_its_courses_go_tells_the_same(scene: Scene, taps:
     np.testing.assert_allclose(tracking.wanted, wanted)
     again = certify(entry.problem, entry.solution.command, entry.solution.multipliers)
     assert again.objective == pytest.approx(entry.certificate.objective, rel=1e-9)
+
+
+def test_a_library_and_its_entries_hold_commands_multipliers_and_targets_once(
+    scene: Scene, taps: list[Recording]
+) -> None:
+    built = build_library(scene, taps)
+    assert built.library is not None
+    bound = 0
+    for (iv, ig), entry in zip(np.ndindex(4, 3), built.all_entries(), strict=True):
+        library, answer = built.library, entry.solution
+        assert np.shares_memory(answer.command, library.command[iv, ig])
+        assert np.shares_memory(entry.problem.target.window_m_s2, library.target_m_s2[iv, ig])
+        stated = library.multipliers(iv, ig).pairs
+        assert answer.multipliers.pairs.keys() == stated.keys()
+        for row, pair in stated.items():
+            for own, side in zip(answer.multipliers.pairs[row], pair, strict=True):
+                np.testing.assert_array_equal(own, side)
+                bound += own.any() and np.shares_memory(own, side)
+        assert certify(entry.problem, answer.command, answer.multipliers).accepted
+    assert bound > 0
 
 
 def test_progress_counts_the_entries(scene: Scene, taps: list[Recording]) -> None:
