@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 LISTEN_S = 0.05  # between two looks at whether to end
 STOPPED = "stopped; the device is disarmed"
+UNCONFIRMED = "stopped; the device has not confirmed that it is disarmed: it disarms itself when its lease is over"
+NOT_CONNECTED = "stopped before the device was connected"
 
 
 def person_at(name: str) -> "Bench":
@@ -134,6 +136,7 @@ def connected(port: "str | Connection", reset: bool | None = None) -> "Iterator[
     """
     from controller.servo.interface import State
 
+    device: Device | None = None
     try:
         with open_device(port) as device:
             if reset and device.state is State.FAULT:
@@ -142,8 +145,9 @@ def connected(port: "str | Connection", reset: bool | None = None) -> "Iterator[
                 device.need_no_fault()
             yield device
     except KeyboardInterrupt:
-        # The driver has given an armed one an emergency stop.
-        typer.echo("stopped; nothing is left armed", err=True)
+        # The driver has given an armed one an emergency stop, and any one a DISARM.
+        words = NOT_CONNECTED if device is None else STOPPED if device.disarmed else UNCONFIRMED
+        typer.echo(words, err=True)
         raise typer.Exit(130) from None
 
 

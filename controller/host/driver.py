@@ -76,6 +76,7 @@ class Device:
     session : gives access to clock, counters and state.
     listeners : functions called with each piece of news.
     name, harmless : those of the connection.
+    disarmed : whether the device has confirmed the DISARM with which `close` leaves it.
 
     Raises
     ------
@@ -90,6 +91,7 @@ class Device:
         self.listeners: list[Listener] = []
         self._connection: Connection = _opened(port) if isinstance(port, str) else port
         self.name, self.harmless = self._connection.name, self._connection.harmless
+        self.disarmed = False
         try:
             self.connect(connect_s)
         except BaseException:
@@ -314,12 +316,16 @@ class Device:
                 self.pump(end_s)
 
     def close(self) -> None:
-        """Disarm the device if it may be armed, then close the port; may be called repeatedly."""
+        """Disarm the device, then close the port; may be called repeatedly.
+
+        A device in IDLE is disarmed too: it may be playing test pulses, which DISARM cuts.
+        """
         try:
-            if self.session.state in OPEN and (self.session.device_state is not State.IDLE or self.session.arming):
+            if self.session.state in OPEN:
                 with suppress(DeviceError):
                     self.session.disarm()
                     self._wait(lambda news: news == Completed(Kind.DISARM), STOP_S, "disarm")
+                    self.disarmed = True
         finally:
             self.session.close()
             self._connection.close()

@@ -19,13 +19,9 @@ from transopt.plant.discretise import discretise
 FINER = 20  # steps of the simulation per servo period
 SINGLE_PRECISION = 1e-6  # relative; above the rounding of a float32
 PULSE_A = 0.1
-# been compared with the accelerometer before. Without one the path must be long and averaged over more pulses, since
-# a hand's tremor is as large.
 # If there is an accelerometer, a pulse is only as long as the acceleration and the settled current need; the encoder
 # has been compared with the accelerometer before. Without one the path must be long and averaged over more pulses,
 # since a hand's tremor is as large.
-# been compared with the accelerometer before. Without one the path must be long and averaged over more pulses, since
-# a hand's tremor is as large.
 PULSE_S, PAIRS = 10e-3, 8
 BLIND_PULSE_S, BLIND_PAIRS = 20e-3, 30
 NO_PATH_M = 1e-9  # path per ampere that turns off its judgement, since it is shorter than five counts of any encoder

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from controller.cli.port import STOPPED, UNCONFIRMED
 from controller.protocol.codes import Kind
 from controller.servo.interface import Fault, State
 from tests.benches.commands import Run, assert_refused
@@ -178,7 +179,7 @@ def test_ctrl_c_while_armed_disarms_and_tells_what_came(play: Run, ready: Desk) 
     ready.each_ms = lambda: interrupt() if next(count) == 1500 else None
     outcome = play("tap", "library.npz", *PORT, "--out", "cut")
     assert outcome.code == 130, outcome.out + outcome.err
-    assert outcome.err.strip() == "stopped; the device is disarmed"
+    assert outcome.err.strip() == STOPPED
     assert (ready.end.state, ready.end.look().fault) == (State.IDLE, None)
     assert f"cut: {FILES}, all whole" in outcome.out
     assert load_recording(Path("cut/tap_001.csv")).grip_N == pytest.approx(3.0, abs=0.2)
@@ -189,7 +190,7 @@ def test_ctrl_c_at_rest_stops_nothing(play: Run, ready: Desk) -> None:
     count = iter(range(10_000))
     ready.each_ms = lambda: interrupt() if next(count) == 100 else None
     outcome = play("monitor", *PORT)
-    assert (outcome.code, outcome.err.strip()) == (130, "stopped; nothing is left armed")
+    assert (outcome.code, outcome.err.strip()) == (130, STOPPED)
     assert (ready.end.state, ready.end.look().fault) == (State.IDLE, None)
 
 
@@ -214,7 +215,7 @@ def test_another_ctrl_c_meanwhile_is_an_emergency_stop(play: Run, ready: Desk) -
     when(ready, State.ARMED, first)
     outcome = play("tap", "library.npz", *PORT)
     assert outcome.code == 130, outcome.err
-    assert outcome.err.strip() == "stopped; nothing is left armed"
+    assert outcome.err.strip() == UNCONFIRMED  # whose answer has been lost
     assert ready.end.look().fault is Fault.HOST_STOP
 
 

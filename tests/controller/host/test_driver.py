@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from controller.host.driver import Device, DeviceError, LinkLostError
+from controller.protocol.capacity import REST_BETWEEN_PULSES_S
 from controller.protocol.codes import Kind, LinkNotice
 from controller.protocol.events import Happened, Samples
 from controller.protocol.image import sha256
@@ -92,6 +93,24 @@ def test_leaving_disarms_and_an_exception_stops() -> None:
         assert world.device.state is State.FAULT
         assert world.device.look().fault is Fault.HOST_STOP
         assert stream.closed == 1
+
+
+def test_leaving_cuts_test_pulses() -> None:
+    """The device is in IDLE while they play, so its state alone does not tell the host to disarm."""
+    world, _, connect = driven(simulated=False)
+
+    def interrupted() -> None:
+        with connect() as device:
+            device.configure(CONFIGURATION)
+            device.listen(0.1)
+            device.pulse(0.1, 200)
+            assert not device.listen(REST_BETWEEN_PULSES_S + 1e-3)
+            assert (device.state, world.output.command_A) == (State.IDLE, 0.1)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert (world.device.state, world.output.command_A) == (State.IDLE, 0.0)
 
 
 def test_an_exception_at_rest_stops_nothing() -> None:
