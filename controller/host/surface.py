@@ -7,7 +7,9 @@ Rule for the drift: after a tap the stylus often comes to rest on the surface. S
 evaluated: 0.2 s within a band of 2 counts (50 um for a fine encoder) and within 0.5 mm of the surface. Three such
 rests in a row on the same side of the surface, each farther off than the band, are not by chance: the surface is
 moved by their median. A rest within the band or on the other side restarts the row, and so does a move. A hand's
-tremor exceeds the band, so a stylus held in the air does not count as at rest.
+tremor exceeds the band, so a stylus held in the air does not count as at rest. A hand that leans on a virtual wall
+rests where the wall balances its force, at F / K_p below the surface: no reading with a feedback current counts, and
+the surface is not moved while one flows.
 """
 
 from collections import deque
@@ -28,17 +30,28 @@ def band_counts(count_m: float) -> float:
 
 
 class Rest:
-    """Detects a rest: all readings of the last `REST_S` within the band."""
+    """Detects a rest: all readings of the last `REST_S` within the band, and no feedback current in any of them.
+
+    Attributes
+    ----------
+    leans : whether a feedback current flowed in the newest reading.
+    """
 
     def __init__(self, dt_s: float, count_m: float) -> None:
         self._every, self._counts = 1, deque[int](maxlen=max(round(REST_S / dt_s), 1))
+        self.leans = False
         self._dt_s, self.band = dt_s, band_counts(count_m)
 
     def take(self, samples: Samples) -> None:
         if samples.every != self._every or samples.missed:
             self._every = samples.every
             self._counts = deque(maxlen=max(round(REST_S / (samples.every * self._dt_s)), 1))
-        self._counts.extend(record.encoder_counts for record in samples.records)
+        for record in samples.records:
+            self.leans = record.feedback_A != 0
+            if self.leans:
+                self._counts.clear()
+            else:
+                self._counts.append(record.encoder_counts)
 
     def forget(self) -> None:
         self._counts.clear()
@@ -58,12 +71,13 @@ class Drift:
     Attributes
     ----------
     surface_counts : the surface in use.
-    moved : counts by which the surface must be moved; 0 if it need not. The caller moves it and then calls `done`.
+    moved : counts by which the surface must be moved; 0 if it need not, or as long as a feedback current flows. The
+        caller moves it and then calls `done`.
     """
 
     def __init__(self, dt_s: float, count_m: float, surface_counts: float) -> None:
         self._rest, self._near, self._band = Rest(dt_s, count_m), NEAR_M / count_m, band_counts(count_m)
-        self.surface_counts, self.moved = surface_counts, 0.0
+        self.surface_counts, self._moved = surface_counts, 0.0
         self._offsets: list[float] = []
         self._looks = False  # whether the first rest after a contact is awaited
 
@@ -71,9 +85,14 @@ class Drift:
         if isinstance(news, Happened) and news.what is Notice.CONTACT:
             self._looks = True
             self._rest.forget()
-        elif isinstance(news, Samples) and self._looks:
+        elif isinstance(news, Samples):
             self._rest.take(news)
-            self._look()
+            if self._looks:
+                self._look()
+
+    @property
+    def moved(self) -> float:
+        return 0.0 if self._rest.leans else self._moved
 
     def _look(self) -> None:
         counts = self._rest.counts
@@ -86,12 +105,12 @@ class Drift:
         if abs(offset) > self._band:
             self._offsets.append(offset)
         if len(self._offsets) == IN_A_ROW:
-            self.moved = float(median(self._offsets))
+            self._moved = float(median(self._offsets))
 
     def done(self) -> None:
         """Confirm that the surface has been moved."""
-        self.surface_counts += self.moved
-        self.moved, self._offsets = 0.0, []
+        self.surface_counts += self._moved
+        self._moved, self._offsets = 0.0, []
 
 
 class Touches:

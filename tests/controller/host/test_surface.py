@@ -14,20 +14,20 @@ DT_S, COUNT_M, SURFACE = 1e-4, 24.5e-6, 1000.0
 REST = 3000  # ticks
 
 
-def at(counts: Iterable[int]) -> list[Samples]:
+def at(counts: Iterable[int], feedback_A: float = 0.0) -> list[Samples]:
     """A batch of one tick each."""
-    return [Samples(0, 1, (Record(int(c), 3.0, 0.0, 0.0, 0.0, 0.0, 0.0, 25.0, 0, 0),), 0) for c in counts]
+    return [Samples(0, 1, (Record(int(c), 3.0, 0.0, 0.0, 0.0, 0.0, feedback_A, 25.0, 0, 0),), 0) for c in counts]
 
 
 def contact() -> Happened:
     return Happened(0, 0, Notice.CONTACT, 0.2, 3.0, 0)
 
 
-def tapped(drift: Drift, *offsets: int, spread: int = 1) -> None:
+def tapped(drift: Drift, *offsets: int, spread: int = 1, feedback_A: float = 0.0) -> None:
     """A tap, and then a rest at so many counts from the surface, for each."""
     for offset in offsets:
         drift.take(contact())
-        for samples in at(1000 + offset + j % (spread + 1) for j in range(REST)):
+        for samples in at((1000 + offset + j % (spread + 1) for j in range(REST)), feedback_A):
             drift.take(samples)
 
 
@@ -45,6 +45,24 @@ def test_three_rests_on_one_side_move_the_surface_by_their_median(drift: Drift) 
     assert (drift.moved, drift.surface_counts) == (0.0, pytest.approx(1007.5, abs=0.5))
     tapped(drift, 7, 8, 7, 8)
     assert drift.moved == 0.0
+
+
+def test_a_hand_that_leans_on_a_wall_does_not_pull_the_surface_after_it(drift: Drift) -> None:
+    """0.5 N on 2000 N/m rest 10 counts below the surface, where a feedback current of 0.4 A balances them."""
+    tapped(drift, *[-10] * 9, feedback_A=0.4)
+    assert drift.moved == 0.0
+    tapped(drift, *[-10] * 3)
+    assert drift.moved == pytest.approx(-9.5, abs=0.5)
+
+
+def test_the_surface_is_not_moved_while_a_feedback_current_flows(drift: Drift) -> None:
+    tapped(drift, 6, 7, 8)
+    for samples in at([990], 0.4):
+        drift.take(samples)
+    assert drift.moved == 0.0
+    for samples in at([1007]):
+        drift.take(samples)
+    assert drift.moved == pytest.approx(7.5, abs=0.5)
 
 
 @pytest.mark.parametrize(
