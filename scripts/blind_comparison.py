@@ -33,6 +33,7 @@ from typer import Argument, Option
 
 from controller.cli.bench import Bench, simulated_bench
 from controller.cli.port import StoppedError, connected, disarmed_by_ctrl_c, no_long_pauses, person_at
+from controller.device.device_file import BUILT_IN
 from controller.host.driver import Device
 from controller.host.payload import Payload, fitted, payload
 from controller.protocol.events import capacity_of
@@ -48,7 +49,6 @@ from transopt.problem.objective.bands import JUST_NOTICED_dB
 
 LISTEN_S = 0.05
 PREPARE_S = 1.0  # fixed pause before every interval, longer than any upload, so that its length tells nothing
-ACCELEROMETER_Hz = 2500.0
 JUST_NOTICED_ERROR = 0.1  # tap error, of the simulated person who goes by the waveform
 QUIT = "q"
 
@@ -185,7 +185,7 @@ def played(device: Device, given: Payload, bench: Bench, taps: int, gain: float)
         finally:
             device.listeners.remove(recorder.take)
     library = given.library
-    return [played_tap(contact, library, settings, gain, ACCELEROMETER_Hz) for contact in recorder.contacts]
+    return [played_tap(contact, library, settings, gain, BUILT_IN.accelerometer) for contact in recorder.contacts]
 
 
 def person(device: Device, trial: int, intervals: list[list[PlayedTap]]) -> str:

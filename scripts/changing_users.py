@@ -148,8 +148,7 @@ def by_taps(
     with connected(bench.port, None) as port, hand:
         play = Rounds(port, bench, hand, BUILT_IN, Path(), taps, None)
         contacts, settings = play.contacts(library, 0, nodes)
-    bandwidth_Hz = BUILT_IN.accelerometer.bandwidth_Hz
-    return calibrated(contacts[: condition.taps], settings, library, population, bandwidth_Hz, [])[0]
+    return calibrated(contacts[: condition.taps], settings, library, population, BUILT_IN.accelerometer, [])[0]
 
 
 def libraries_of(hand: HandSection, condition: Condition, seed: int) -> tuple[dict[str, Library], TrueDevice]:

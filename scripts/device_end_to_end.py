@@ -25,6 +25,7 @@ from common.command import Seed, at_least, run
 from typer import Option
 
 import problems
+from controller.device.device_file import Accelerometer
 from controller.host.driver import Device, arm_at_rest
 from controller.protocol.configuration import configuration_of
 from controller.protocol.image import image_of
@@ -158,7 +159,7 @@ def recorded(
     InputError : no compiler, no pseudo-terminal; or this machine was too busy for the device's time.
     """
     settings = Settings.of(library)
-    dt_s, bandwidth_Hz = settings.dt_s, sensors.accelerometer_bandwidth_Hz
+    dt_s, accelerometer = settings.dt_s, Accelerometer(bandwidth_Hz=sensors.accelerometer_bandwidth_Hz)
     hand = StraightTaps(nodes, dt_s)
     true = Imperfections(crossover_A=0.0, sensors=sensors)
     simulator = Simulator(device_of(library.scene()), hand, dt_s, imperfections=true, seed=seed)
@@ -186,7 +187,7 @@ def recorded(
             f"on a quieter machine"
         )
     return [
-        Condition(node, tuple(played_tap(one, library, settings, 1.0, bandwidth_Hz) for one in contacts[:rounds]))
+        Condition(node, tuple(played_tap(one, library, settings, 1.0, accelerometer) for one in contacts[:rounds]))
         for node, contacts in found.items()
     ]
 

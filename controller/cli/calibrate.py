@@ -133,14 +133,14 @@ def _calibrate(
     from transopt.design.another_model import built_on
     from transopt.scene.fitted import Source
 
-    console, accelerometer_Hz = terminal.console(), found.device.accelerometer.bandwidth_Hz
+    console, accelerometer = terminal.console(), found.device.accelerometer
     nodes, taps = nodes_to_tap(library, found.device)
     source = Source(file=path.name, sha256=library.content_sha256)
     model, written = out / "model.json", out / "library.npz"
     with connected(bench.port, reset) as device, ended_in_words(), hand:
         play = Taps(device, bench, hand, found.device, out, taps, seconds)
         before, settings = play.contacts(library, 0, nodes)
-        result, complaints = calibrated(before, settings, library, hands, accelerometer_Hz, [source])
+        result, complaints = calibrated(before, settings, library, hands, accelerometer, [source])
         for words in complaints:
             console.print(words, style="yellow")
         save_model(model, library.scene(), result.device)
@@ -154,7 +154,7 @@ def _calibrate(
             raise typer.Exit(1)
         build.library.save(written)
         after, new_settings = play.contacts(build.library, 1, nodes)
-    each = tried(nodes, build.library, before, after, (settings, new_settings), accelerometer_Hz)
+    each = tried(nodes, build.library, before, after, (settings, new_settings), accelerometer)
     console.print(tried_table(build.library, each))
     words, good = judged(each)
     console.print(f"{out}: model.json, library.npz")

@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -140,8 +141,10 @@ def imperfect(device: "DeviceFile", mismatch: float, seed: int, crossover: float
     within("mismatch", mismatch, 0.0, 0.5, ", the part by which parameters are off")
     within("crossover", crossover, 0.0, 1.0, " A")
     within("seed", seed, 0, 2**63 - 1)
-    bandwidth_Hz = device.accelerometer.bandwidth_Hz
-    sensors = Sensors(count_m=device.encoder.count_m, accelerometer_bandwidth_Hz=bandwidth_Hz)
+    stated = device.accelerometer
+    sensors = Sensors(count_m=device.encoder.count_m, accelerometer_bandwidth_Hz=stated.bandwidth_Hz)
+    if stated.range_g is not None:
+        sensors = replace(sensors, accelerometer_range_g=stated.range_g)
     return Imperfections(mismatch=mismatch, crossover_A=crossover, sensors=sensors)
 
 

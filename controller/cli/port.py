@@ -68,6 +68,7 @@ def load(device: "Device", given: "Load", console: "Console") -> None:
     """
     from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 
+    from controller.device.rail import range_in_words
     from controller.device.stated import grip_in_words
     from controller.host.kept import library_in_words, remember_library
     from controller.host.payload import Payload, fitted, need_hardware
@@ -95,9 +96,10 @@ def load(device: "Device", given: "Load", console: "Console") -> None:
     console.print(f"{device.name}: {words}")
     if cost:
         console.print(f"{device.name}: {cost}")
-    assumed = grip_in_words(given.device, given.library) if isinstance(given, Payload) else ""
-    if assumed:
-        console.print(assumed)
+    if isinstance(given, Payload):
+        for words in (of(given.device, given.library) for of in (grip_in_words, range_in_words)):
+            if words:
+                console.print(words)
 
 
 class StoppedError(Exception):

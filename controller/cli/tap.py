@@ -188,10 +188,8 @@ def _play(
         shown, stopped = sessions.run(
             bench, device, recorder, title, enough=enough, seconds=seconds, gain=played_at, file=file
         )
-    accelerometer_Hz = found.device.accelerometer.bandwidth_Hz
-    played = [
-        played_tap(contact, given.library, settings, played_at, accelerometer_Hz) for contact in recorder.contacts
-    ]
+    accelerometer = found.device.accelerometer
+    played = [played_tap(contact, given.library, settings, played_at, accelerometer) for contact in recorder.contacts]
     console.print(taps_table(played, shown.events, title))
     console.print(figures_table(played, given.library, shown.events, _yardstick(given.library, played)))
     remark = bench.remark()

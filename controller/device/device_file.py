@@ -21,6 +21,7 @@ FINEST_COUNT_M, COARSEST_COUNT_M = 1e-6, 1e-4
 SHORTEST_DT_S, LONGEST_DT_S = 5e-5, 1e-3
 MOST_COUNTS = 1e6
 GRIP_N = 50.0  # what a hand does
+LEAST_RANGE_G, MOST_RANGE_G = 1.0, 1000.0  # of an accelerometer; the least one shows gravity, and taps of little more
 
 
 def _of_a_size(scale: float) -> float:
@@ -78,6 +79,12 @@ class Accelerometer(Section):
         description="scale times what is read at rest: 9.81 above a level surface, 0 before an upright one",
     )
     bandwidth_Hz: float = Field(2500.0, ge=10.0, le=1e6, description="its pole, from the datasheet or its capacitor")
+    range_g: float | None = Field(
+        None,
+        ge=LEAST_RANGE_G,
+        le=MOST_RANGE_G,
+        description="largest reading to either side, gravity included, before its scale; taps beyond do not count",
+    )
 
 
 class Power(Section):

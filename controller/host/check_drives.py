@@ -183,7 +183,7 @@ def _as_predicted(check: Check, recorder: Recorder) -> tuple[str, bool]:
         check.library,
         check.settings,
         TRIAL_GAIN,
-        check.described.accelerometer.bandwidth_Hz,
+        check.described.accelerometer,
     )
     if tap.why:
         return f", not compared: {tap.why}", False

@@ -11,6 +11,8 @@ from functools import cached_property
 
 import numpy as np
 
+from controller.device.device_file import Accelerometer
+from controller.device.rail import why_at_rail
 from controller.record.metrics import MOST_SHIFT_S, align, rate_hardness_N_m, spectral_error_dB
 from controller.record.recorder import Contact
 from controller.servo.settings import Settings
@@ -160,11 +162,20 @@ def before_pole(values: FloatArray, dt_s: float, bandwidth_Hz: float) -> FloatAr
     return filtered(np.array([1.0, -kept]), np.array([1 - mean, mean - kept]), values)
 
 
-def since_contact(contact: Contact, settings: Settings, first_s: float, last_s: float) -> Signal | str:
+def since_contact(
+    contact: Contact,
+    library: Library,
+    settings: Settings,
+    accelerometer: Accelerometer,
+    first_s: float,
+    last_s: float,
+) -> Signal | str:
     """Acceleration less the reading at rest, over the time from contact; or the reason why there is none.
 
     Parameters
     ----------
+    library : the one that was played.
+    accelerometer : as the device file describes it.
     first_s, last_s : time span that must be recorded, with the largest shift of the alignment added on both sides.
     """
     if contact.missed:
@@ -173,16 +184,24 @@ def since_contact(contact: Contact, settings: Settings, first_s: float, last_s: 
     step = float(times[1] - times[0]) if times.size > 1 else float("nan")
     if not step <= 1.5 * contact.dt_s:
         return "telemetry of every tick is needed"
-    begin = met_surface(contact, settings)[0]
-    if not (times[0] - begin <= first_s - MOST_SHIFT_S and last_s + MOST_SHIFT_S <= times[-1] - begin):
+    times -= met_surface(contact, settings)[0]
+    first_s, last_s = first_s - MOST_SHIFT_S, last_s + MOST_SHIFT_S
+    if not (times[0] <= first_s and last_s <= times[-1]):
         return "not all of it was recorded"
-    return Signal(float(times[0] - begin), step, contact.acceleration_m_s2 - resting_m_s2(contact))
+    acceleration, needed = contact.acceleration_m_s2, (times >= first_s) & (times <= last_s)
+    if why := why_at_rail(times[needed], acceleration[needed], accelerometer, library):
+        return why
+    # Another contact before or after this one may have reached the rail.
+    none = np.flatnonzero(~np.isfinite(acceleration))
+    begin = max(none[times[none] < first_s] + 1, default=0)
+    end = min(none[times[none] > last_s], default=times.size)
+    return Signal(float(times[begin]), step, acceleration[begin:end] - resting_m_s2(contact))
 
 
 def resting_m_s2(contact: Contact) -> float:
-    """Mean reading of the accelerometer before the waveform; NaN if nothing was recorded before it."""
+    """Mean of the accelerometer's numbers before the waveform; NaN if none was recorded before it."""
     times = (contact.ticks - contact.tick) * contact.dt_s
-    resting = contact.acceleration_m_s2[(times < 0) & (times >= -REST_S)]
+    resting = contact.acceleration_m_s2[(times < 0) & (times >= -REST_S) & np.isfinite(contact.acceleration_m_s2)]
     return float(resting.mean()) if resting.size else NOTHING
 
 
@@ -191,17 +210,17 @@ def played_tap(
     library: Library,
     settings: Settings,
     gain: float,
-    bandwidth_Hz: float,
+    accelerometer: Accelerometer,
 ) -> PlayedTap:
     """Compare a recorded contact with the library's prediction.
 
     Parameters
     ----------
     gain : gain of the device.
-    bandwidth_Hz : bandwidth of the accelerometer, one pole.
+    accelerometer : as the device file describes it.
     """
     prediction = predict(library, contact.speed_m_s, contact.grip_N, gain, contact.scale, contact.cooled)
-    compared = _compare(contact, prediction, library, settings, gain, bandwidth_Hz)
+    compared = _compare(contact, prediction, library, settings, gain, accelerometer)
     return PlayedTap(
         contact=contact,
         times_s=(contact.ticks - contact.tick) * contact.dt_s - met_surface(contact, settings)[0],
@@ -235,7 +254,7 @@ def _compare(
     library: Library,
     settings: Settings,
     gain: float,
-    bandwidth_Hz: float,
+    accelerometer: Accelerometer,
 ) -> Compared | str:
     """The figures of a tap, or the reason why there are none."""
     if gain == 0:
@@ -246,12 +265,12 @@ def _compare(
         return beyond
     until = prediction.times_s <= INTENTION_S
     at = prediction.times_s[until]
-    measured = since_contact(contact, settings, float(at[0]), float(at[-1]))
+    measured = since_contact(contact, library, settings, accelerometer, float(at[0]), float(at[-1]))
     if isinstance(measured, str):
         return measured
 
     def sensed(acceleration_m_s2: FloatArray) -> FloatArray:
-        behind = through_pole(acceleration_m_s2, contact.dt_s, bandwidth_Hz)
+        behind = through_pole(acceleration_m_s2, contact.dt_s, accelerometer.bandwidth_Hz)
         return lowpass(Signal(float(at[0]), contact.dt_s, behind), CUTOFF_HZ).values[until]
 
     played, expected = lowpass(measured, CUTOFF_HZ), sensed(prediction.whole_m_s2)

@@ -11,6 +11,7 @@ acceleration leaves its running mean.
 No call takes longer than a lease, since data that was written is not touched again.
 """
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
@@ -111,6 +112,7 @@ class Recorder:
         self.count_m, self.surface_counts = count_m, surface_counts
         self._trigger_m_s2, self._mean_m_s2 = trigger_m_s2, float("nan")
         self._deaf_until, self.loudest_m_s2 = 0, 0.0
+        self._rail_tick: int | None = None  # at which the present run of readings that are no number began
         self._first, self._every = 0, 1  # of the telemetry
         self.contacts: list[Contact] = []
         self.records = self.missed = 0
@@ -216,13 +218,18 @@ class Recorder:
 
     def _feel(self, tick: int, record: Record, every: int, trigger_m_s2: float) -> None:
         a = record.acceleration_m_s2
+        if not math.isfinite(a):
+            # The accelerometer is at its rail, or its wire is broken: only a reading thereafter tells which.
+            self._rail_tick = tick if self._rail_tick is None else self._rail_tick
+            return
+        begun, self._rail_tick = tick if self._rail_tick is None else self._rail_tick, None
         if self._deaf_until == 0:
             # The first reading is gravity.
             self._mean_m_s2, self._deaf_until = a, tick + self._before
         if tick >= self._deaf_until:
             self.loudest_m_s2 = max(self.loudest_m_s2, abs(a - self._mean_m_s2))
             if abs(a - self._mean_m_s2) > trigger_m_s2:
-                self._open.append(Happened(0, tick, Notice.CONTACT, float("nan"), float("nan"), 0))
+                self._open.append(Happened(0, begun, Notice.CONTACT, float("nan"), float("nan"), 0))
                 self._deaf_until = tick + self._before + self._after
         self._mean_m_s2 += every * self._dt_s / MEAN_S * (a - self._mean_m_s2)
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from controller.device.device_file import Accelerometer
 from controller.record.metrics import align
 from controller.record.played import CUTOFF_HZ, before_pole, since_contact
 from controller.record.recorder import Contact
@@ -67,12 +68,14 @@ def smooth(values: FloatArray, dt_s: float) -> FloatArray:
     return lowpass(Signal(0.0, dt_s, values), CUTOFF_HZ).values
 
 
-def hear(contact: Contact, library: Library, settings: Settings, node: Node, bandwidth_Hz: float) -> Heard | str:
+def hear(
+    contact: Contact, library: Library, settings: Settings, node: Node, accelerometer: Accelerometer
+) -> Heard | str:
     """The difference that a tap near a node shows; or the reason why it does not count.
 
     Parameters
     ----------
-    bandwidth_Hz : bandwidth of the accelerometer, one pole, which is compensated.
+    accelerometer : as the device file describes it; its pole is compensated.
     """
     if contact.scale < 1 or contact.cooled > 0:
         return "the coil was too hot for all of the transient"
@@ -80,11 +83,12 @@ def hear(contact: Contact, library: Library, settings: Settings, node: Node, ban
     if prediction.silent:
         return "the library is silent there"
     times = prediction.times_s
-    found = since_contact(contact, settings, float(times[0]), float(times[fade_of(times) > 0][-1]))
+    last_s = float(times[fade_of(times) > 0][-1])
+    found = since_contact(contact, library, settings, accelerometer, float(times[0]), last_s)
     if isinstance(found, str):
         return found
     peak_A = float(np.abs(contact.current_A).max())
-    return heard(found, prediction, float(library.speeds_m_s[node[0]]), bandwidth_Hz, peak_A)
+    return heard(found, prediction, float(library.speeds_m_s[node[0]]), accelerometer.bandwidth_Hz, peak_A)
 
 
 def heard(

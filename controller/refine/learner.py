@@ -27,7 +27,7 @@ FOLLOWED = 3  # number of times a correction is enlarged by the part that the mo
 LEAST_DEGREES = 2  # degrees of freedom of the pooled scatter that are needed to estimate its anisotropy
 Resolve = Callable[[Library, Mapping[Node, FloatArray], dict[str, Any]], tuple[Library, dict[Node, str]]]
 
-NOT_TAPPED = f"not tapped {LEAST_TAPS} times"
+NOT_TAPPED = f"fewer than {LEAST_TAPS} taps counted"
 NOTHING_LEFT = "nothing stands out of the taps' scatter"
 NOT_SURE = "a correction would not surely converge"
 NO_GAIN = "a correction brought no gain beyond the taps' scatter"

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from controller.device.device_file import DeviceFile
+from controller.device.device_file import Accelerometer, DeviceFile
+from controller.device.rail import why_at_rail
 from controller.record.played import height_m, met_surface, played_tap
 from controller.record.recorder import Contact
 from controller.refine.heard import Node, node_near
@@ -96,13 +97,17 @@ def drive_of(scene: Scene) -> DriveDevice:
     )
 
 
-def record_of(contact: Contact, settings: Settings, intention_s: float) -> PlayedRecord | str:
+def record_of(
+    contact: Contact, library: Library, settings: Settings, accelerometer: Accelerometer
+) -> PlayedRecord | str:
     """The record of a played tap for the calibration; or the reason why it does not count.
 
     Parameters
     ----------
-    intention_s : time from contact on during which the hand continues its approach.
+    library : the one that was played; its hand continues its approach for a while from contact on.
+    accelerometer : as the device file describes it.
     """
+    intention_s = library.scene().hand.intention_s
     if contact.missed:
         return f"{contact.missed} records were lost"
     met_s = met_surface(contact, settings)[0]
@@ -114,6 +119,8 @@ def record_of(contact: Contact, settings: Settings, intention_s: float) -> Playe
     taken = (times >= -BEFORE_S) & (times < met_s + intention_s)
     first = int(np.argmax(times[taken] > -contact.dt_s / 2))
     acceleration = contact.acceleration_m_s2[taken]
+    if why := why_at_rail(times[taken] - met_s, acceleration, accelerometer, library):
+        return why
     largest = float(np.ptp(acceleration))
     if largest == 0:
         return "the accelerometer reads nothing: without one no hand is calibrated"
@@ -135,7 +142,7 @@ def calibrated(
     settings: Settings,
     library: Library,
     population: Population,
-    accelerometer_Hz: float,
+    accelerometer: Accelerometer,
     sources: Sequence[Source],
 ) -> tuple[Calibration, list[str]]:
     """The hand calibrated from taps of a library, and the reasons for taps that do not count.
@@ -145,14 +152,16 @@ def calibrated(
     InputError : no tap counts, or the library's device is not a drive in a hand.
     """
     scene = library.scene()
-    drive, found = drive_of(scene), [record_of(each, settings, scene.hand.intention_s) for each in contacts]
-    instrument = Instrument(library.dt_s, library.amplifier(), accelerometer_Hz)
+    drive, found = drive_of(scene), [record_of(each, library, settings, accelerometer) for each in contacts]
+    instrument = Instrument(library.dt_s, library.amplifier(), accelerometer.bandwidth_Hz)
     records = [one for one in found if isinstance(one, PlayedRecord)]
     complaints = [
         f"tap {contact.number} does not count: {why}"
         for contact, why in zip(contacts, found, strict=True)
         if isinstance(why, str)
     ]
+    if complaints and not records:
+        raise InputError(f"calibrate: no tap counts: {complaints[0]}")
     return calibrate(records, drive, instrument, population, sources), complaints
 
 
@@ -187,7 +196,7 @@ def tried(
     before: Sequence[Contact],
     after: Sequence[Contact],
     settings: tuple[Settings, Settings],
-    accelerometer_Hz: float,
+    accelerometer: Accelerometer,
 ) -> list[Tried]:
     """Errors of the new and of the old library at each node, measured by the device's own sensors.
 
@@ -198,7 +207,7 @@ def tried(
 
     def means(contacts: Sequence[Contact], known: Settings, node: Node) -> tuple[float, float]:
         own = [each for each in contacts if node_near(library, each.speed_m_s, each.grip_N) == node]
-        compared = [played_tap(each, library, known, 1.0, accelerometer_Hz).compared for each in own]
+        compared = [played_tap(each, library, known, 1.0, accelerometer).compared for each in own]
         figures = np.array([[each.tap_error, each.felt_error] for each in compared]).reshape(-1, 2)
         known_ones = figures[np.isfinite(figures).all(axis=1)]
         return tuple(known_ones.mean(axis=0).tolist()) if len(known_ones) else (np.nan, np.nan)

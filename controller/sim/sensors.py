@@ -19,7 +19,7 @@ class Sensors:
     ----------
     count_m : encoder resolution at the tip (seed: 24.5 um).
     accelerometer_noise_g_rtHz, accelerometer_range_g, accelerometer_bandwidth_Hz : ADXL321 with the smallest
-        filter capacitor; one pole at the bandwidth.
+        filter capacitor; one pole at the bandwidth. At an end of the range a port reads no number (NaN).
     grip_hysteresis : relative hysteresis of the force-sensing resistor, to either side. grip_noise_N : rms noise.
     current_noise_A : rms noise of the amplifier's monitor.
     """
@@ -77,10 +77,14 @@ class SensorBench:
         return math.floor(position_m / self.sensors.count_m + 0.5)
 
     def acceleration_m_s2(self, filtered_m_s2: float) -> float:
-        """Reading of the acceleration behind the accelerometer's pole; its noise runs through the same pole."""
+        """Reading of the acceleration behind the accelerometer's pole, NaN beyond its range.
+
+        Its noise runs through the same pole.
+        """
         self._wander_m_s2 = self.keep * self._wander_m_s2 + self.new_m_s2 * next(self._acceleration)
         limit = self.sensors.accelerometer_range_g * STANDARD_GRAVITY_M_S2
-        return min(max(filtered_m_s2 + self._wander_m_s2, -limit), limit)
+        read = filtered_m_s2 + self._wander_m_s2
+        return read if abs(read) <= limit else math.nan
 
     def grip_N(self, held_N: float) -> float:
         slack = self.sensors.grip_hysteresis * held_N

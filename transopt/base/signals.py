@@ -17,6 +17,8 @@ ComplexArray = NDArray[np.complex128]
 
 STANDARD_GRAVITY_M_S2 = 9.80665
 WHOLE_COUNTS = 0.01  # tolerance, in counts, of a change that has to be a multiple of one count
+FLAT_RUN, FLAT_COUNT = 3, 6  # least samples in a row, and in all, exactly at the extreme to count as clipped
+CROWD = 0.02  # of the amplitude below the extreme: an unclipped sine is there more often than at the extreme itself
 
 
 @dataclass(frozen=True)
@@ -205,3 +207,23 @@ def nrmse(value: FloatArray, reference: FloatArray) -> float:
     if size == 0.0:
         return 0.0 if error == 0.0 else float("inf")
     return error / size
+
+
+def flat_extreme(values: FloatArray) -> NDArray[np.intp]:
+    """Indices of the samples at the maximum if the signal is clipped there; empty otherwise.
+
+    A sine dwells at its peak, and a coarse converter turns that into runs of one value; so the signal counts as
+    clipped only if the samples at the maximum outnumber those just below it.
+    """
+    top = float(values.max())
+    at = np.flatnonzero(values >= top - 1e-9 * float(np.ptp(values)))
+    if at.size < FLAT_COUNT or top <= 0:
+        return np.zeros(0, dtype=np.intp)
+    runs = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1)
+    if max(run.size for run in runs) < FLAT_RUN:
+        return np.zeros(0, dtype=np.intp)
+    levels = np.unique(values[values >= 0.9 * top])
+    quantum = float(np.diff(levels).min()) if levels.size > 1 else 0.0
+    below = max(CROWD * top, 4.5 * quantum)
+    crowd = int(np.count_nonzero((values < top) & (values >= top - below)))
+    return at if at.size > crowd else np.zeros(0, dtype=np.intp)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal, flat_extreme
 from transopt.identify.findings import (
     COHERENT,
     END_PART,
@@ -26,8 +26,6 @@ from transopt.identify.measurement import Measurement
 from transopt.identify.spectrum import TransferEstimate, Trial
 
 LEAST_WORTH = 0.05  # cycles per octave; below it no practical length of sweep would be enough, so none is proposed
-FLAT_RUN, FLAT_COUNT = 3, 6  # least samples in a row, and in all, exactly at the extreme to count as clipped
-CROWD = 0.02  # of the amplitude below the extreme: an unclipped sine is there more often than at the extreme itself
 REST_SAMPLES, END_NOISES = 20, 5.0  # number of first samples; largest end of a signal over their scatter
 GRAVITY_TOLERANCE = 0.25  # relative error of a nominal model's gain; no other cause changes a gain tenfold
 AGAINST = 0.5  # polarity is wrong if the reversed record has less than this share of the misfit of a passive device
@@ -98,26 +96,6 @@ def begun_late(run: Measurement) -> list[Finding]:
                 Check.BEGUN_LATE.at(run.name, quantity=quantity, first=first, unit=UNITS[quantity], part=first / peak)
             ]
     return []
-
-
-def flat_extreme(values: FloatArray) -> NDArray[np.intp]:
-    """Indices of the samples at the maximum if the signal is clipped there; empty otherwise.
-
-    A sine dwells at its peak, and a coarse converter turns that into runs of one value; so the signal counts as
-    clipped only if the samples at the maximum outnumber those just below it.
-    """
-    top = float(values.max())
-    at = np.flatnonzero(values >= top - 1e-9 * float(np.ptp(values)))
-    if at.size < FLAT_COUNT or top <= 0:
-        return np.zeros(0, dtype=np.intp)
-    runs = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1)
-    if max(run.size for run in runs) < FLAT_RUN:
-        return np.zeros(0, dtype=np.intp)
-    levels = np.unique(values[values >= 0.9 * top])
-    quantum = float(np.diff(levels).min()) if levels.size > 1 else 0.0
-    below = max(CROWD * top, 4.5 * quantum)
-    crowd = int(np.count_nonzero((values < top) & (values >= top - below)))
-    return at if at.size > crowd else np.zeros(0, dtype=np.intp)
 
 
 def cycles_per_octave(trials: Sequence[Trial], frequencies_Hz: FloatArray) -> FloatArray:

@@ -10,6 +10,7 @@ from rich.console import Console
 from scipy import integrate
 
 from controller.cli.tables import check_table
+from controller.device.device_file import Accelerometer
 from controller.host.bringup import Result
 from controller.host.monitor import Monitor, event_line
 from controller.protocol.codes import LinkNotice
@@ -28,7 +29,7 @@ from transopt.recordings.recording import load_recording
 
 DT_S, COUNT_M = 1e-4, 24.5e-6
 CONTACT_TICK = 3000
-BANDWIDTH_HZ = SEED_SENSORS.accelerometer_bandwidth_Hz
+ACCELEROMETER = Accelerometer(bandwidth_Hz=SEED_SENSORS.accelerometer_bandwidth_Hz)
 
 
 def record(tick: int) -> Record:
@@ -235,7 +236,7 @@ def played(
 
 @pytest.mark.parametrize("late_s", [0.0, 3e-4, -2e-4])
 def test_latency_and_error_are_found(library: Library, stated: Settings, late_s: float) -> None:
-    found = played_tap(played(library, stated, late_s=late_s), library, stated, 1.0, BANDWIDTH_HZ).compared
+    found = played_tap(played(library, stated, late_s=late_s), library, stated, 1.0, ACCELEROMETER).compared
     assert found.latency_s == pytest.approx(late_s, abs=5e-6)
     assert found.playback_error < 0.01
     assert found.peak_m_s2 == pytest.approx(found.predicted_peak_m_s2, rel=0.01)
@@ -244,7 +245,7 @@ def test_latency_and_error_are_found(library: Library, stated: Settings, late_s:
 def test_what_is_too_large_is_an_error_and_a_gain_is_none(library: Library, stated: Settings) -> None:
     def error(size: float, gain: float, stated_gain: float) -> float:
         contact = played(library, stated, size=size, gain=gain)
-        return played_tap(contact, library, stated, stated_gain, BANDWIDTH_HZ).compared.playback_error
+        return played_tap(contact, library, stated, stated_gain, ACCELEROMETER).compared.playback_error
 
     assert error(1.1, 1.0, 1.0) == pytest.approx(0.1, abs=0.01)
     assert error(1.0, 0.5, 0.5) < 0.01
@@ -253,7 +254,7 @@ def test_what_is_too_large_is_an_error_and_a_gain_is_none(library: Library, stat
 
 def test_another_accelerometer_looks_like_latency(library: Library, stated: Settings) -> None:
     """The lag of one pole, 64 us at 2.5 kHz, belongs to the sensor and not to the device."""
-    found = played_tap(played(library, stated), library, stated, 1.0, bandwidth_Hz=1e6).compared
+    found = played_tap(played(library, stated), library, stated, 1.0, Accelerometer(bandwidth_Hz=1e6)).compared
     assert found.latency_s == pytest.approx(1 / (2 * np.pi * 2500.0), abs=5e-6)
 
 
@@ -266,20 +267,20 @@ def test_where_there_is_nothing_to_compare(library: Library, stated: Settings) -
         "not all of it was recorded": (replace(good, counts=-good.counts), 1.0),
     }
     for why, (case, gain) in cases.items():
-        found = played_tap(case, library, stated, gain, BANDWIDTH_HZ)
+        found = played_tap(case, library, stated, gain, ACCELEROMETER)
         assert (found.why, found.verdict) == (why, why)
         assert np.isnan(found.compared.playback_error)
         assert np.isnan(found.compared.latency_s)
     fast, firm = (replace(good, **{name: 3 * getattr(good, name)}) for name in ("speed_m_s", "grip_N"))
     for beyond, unit in ((fast, "m/s"), (firm, "N")):
-        found = played_tap(beyond, library, stated, 1.0, BANDWIDTH_HZ)
+        found = played_tap(beyond, library, stated, 1.0, ACCELEROMETER)
         assert found.why.startswith("not judged: ")
         assert f" {unit} lies outside the library's " in found.verdict
         assert np.isnan(found.compared.tap_error)
     edge = replace(good, speed_m_s=library.speeds_m_s[-1] * 1.01, grip_N=library.grips_N[-1] + 0.05)
-    assert "not judged" not in played_tap(edge, library, stated, 1.0, BANDWIDTH_HZ).why
+    assert "not judged" not in played_tap(edge, library, stated, 1.0, ACCELEROMETER).why
     sparse = replace(good, **{name: getattr(good, name)[::3] for name in ("ticks", "counts", "acceleration_m_s2")})
-    assert played_tap(sparse, library, stated, 1.0, BANDWIDTH_HZ).why == "telemetry of every tick is needed"
+    assert played_tap(sparse, library, stated, 1.0, ACCELEROMETER).why == "telemetry of every tick is needed"
 
 
 def test_contact_is_where_the_approach_leads(library: Library, stated: Settings) -> None:

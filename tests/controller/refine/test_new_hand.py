@@ -80,7 +80,7 @@ def test_three_taps_come_near_to_who_knows_the_hand(
     tmp_path: Path, small: Library, truth: Scene, tapped: tuple[list[Contact], Settings]
 ) -> None:
     """Played by other equations: tests/scripts/test_changing_users.py."""
-    found, complaints = calibrated(*tapped, small, load_population(POPULATION), 2500.0, [])
+    found, complaints = calibrated(*tapped, small, load_population(POPULATION), BUILT_IN.accelerometer, [])
     assert not complaints
     model = tmp_path / "model.json"
     save_model(model, small.scene(), found.device)
@@ -111,7 +111,7 @@ def test_a_library_for_a_population_becomes_one_for_what_the_taps_leave_open(
     nodes = {"grid.speeds_m_s": [0.2], "grid.grips_N": [3.0]}
     library = to.solve(with_values(scene, {"robust": robust, **nodes}))
     assert library.spread_A.shape[:2] == (1, 2)
-    found, _ = calibrated(*tapped, small, population, 2500.0, [])
+    found, _ = calibrated(*tapped, small, population, BUILT_IN.accelerometer, [])
     save_model(tmp_path / "model.json", library.scene(), found.device)
     made = built_on(library, tmp_path / "model.json").library
     stated = made.scene().robust
@@ -121,16 +121,16 @@ def test_a_library_for_a_population_becomes_one_for_what_the_taps_leave_open(
     assert 0 < near < 0.5 * wide
 
 
-def test_what_is_no_whole_tap_does_not_count(tapped: tuple[list[Contact], Settings]) -> None:
+def test_what_is_no_whole_tap_does_not_count(small: Library, tapped: tuple[list[Contact], Settings]) -> None:
     [first, *_], settings = tapped
-    assert isinstance(record_of(first, settings, 0.03), PlayedRecord)
+    assert isinstance(record_of(first, small, settings, BUILT_IN.accelerometer), PlayedRecord)
     for wrong, words in (
         ({"missed": 3}, "3 records were lost"),
         ({"command_A": 0 * first.command_A}, "nothing was played"),
         ({"acceleration_m_s2": 0 * first.acceleration_m_s2}, "the accelerometer reads nothing"),
         ({"tick": int(first.ticks[-1])}, "not all of it was recorded"),
     ):
-        said = record_of(replace(first, **wrong), settings, 0.03)
+        said = record_of(replace(first, **wrong), small, settings, BUILT_IN.accelerometer)
         assert isinstance(said, str)
         assert said.startswith(words)
 

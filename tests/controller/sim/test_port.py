@@ -8,6 +8,7 @@ import pytest
 
 from controller.cli.bench import simulated_bench
 from controller.cli.tap_figure import tap_figure
+from controller.device.device_file import BUILT_IN
 from controller.host.connection import Connection
 from controller.host.driver import Device
 from controller.host.payload import payload_of
@@ -29,7 +30,6 @@ from transopt.base.plotting import save_figure
 from transopt.library.library import Library
 
 pytestmark = pytest.mark.usefixtures("c_compiler")
-BANDWIDTH_HZ = 2500.0
 
 
 def contacts(library: Library, *taps: SimulatedTap) -> tuple[list[Contact], Device]:
@@ -51,7 +51,7 @@ def contacts(library: Library, *taps: SimulatedTap) -> tuple[list[Contact], Devi
 
 
 def compared(library: Library, contact: Contact) -> PlayedTap:
-    return played_tap(contact, library, Settings.of(library), 1.0, BANDWIDTH_HZ)
+    return played_tap(contact, library, Settings.of(library), 1.0, BUILT_IN.accelerometer)
 
 
 def test_a_tap_is_that_of_servo_and_simulator_alone(library: Library) -> None:

@@ -9,7 +9,7 @@ import pytest
 from controller.record.trial_file import write_measurement
 from tests.benches.sweeps import DT_S, amplifier_trial, device_columns
 from transopt.base.errors import InputError
-from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal, flat_extreme
 from transopt.identify import checks
 from transopt.identify.findings import Fault, Finding, refuse
 from transopt.identify.measurement import Measurement, load_measurement
@@ -130,8 +130,8 @@ def test_a_clipped_accelerometer(columns: dict, limit: float) -> None:
 def test_a_coarse_converter_is_not_a_clipped_one(bits: int) -> None:
     sine = 0.9 * np.sin(2 * np.pi * 1.0 * DT_S * np.arange(20000))
     step = 2.0 / 2**bits
-    assert checks.flat_extreme(step * np.round(sine / step)).size == 0
-    assert checks.flat_extreme(step * np.round(np.minimum(sine, 0.8) / step)).size > 1000
+    assert flat_extreme(step * np.round(sine / step)).size == 0
+    assert flat_extreme(step * np.round(np.minimum(sine, 0.8) / step)).size > 1000
 
 
 def test_a_saturated_command() -> None:

@@ -21,8 +21,8 @@ import numpy as np
 from scipy import integrate, optimize, signal, stats
 
 from transopt.base.errors import InputError
-from transopt.base.signals import FloatArray
-from transopt.identify.checks import UNITS, check_unit, flat_extreme
+from transopt.base.signals import FloatArray, flat_extreme
+from transopt.identify.checks import UNITS, check_unit
 from transopt.identify.findings import JITTER_LIMIT
 from transopt.identify.measurement import Measurement
 
