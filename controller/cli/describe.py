@@ -25,7 +25,7 @@ NO_ANSWERS = "device new: no answers came; type them, or take the values offered
 # Without a sensor nothing is asked of it, with one nothing is assumed.
 POINTLESS = {
     "grip": {True: ("assumed_grip_N",), False: ("scale", "zero_N")},
-    "accelerometer": {True: (), False: ("scale", "rest_m_s2", "bandwidth_Hz")},
+    "accelerometer": {True: (), False: ("scale", "rest_m_s2", "bandwidth_Hz", "range_g")},
 }
 
 

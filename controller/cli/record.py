@@ -196,8 +196,8 @@ def record_tap(
         from transopt.base.signals import STANDARD_GRAVITY_M_S2
 
         assert port is not None
-        encoder = described(device).device.encoder
-        taps_by_a_person(person_at(port), out, trigger * STANDARD_GRAVITY_M_S2, encoder, taps, seconds)
+        found = described(device).device
+        taps_by_a_person(person_at(port), out, trigger * STANDARD_GRAVITY_M_S2, found, taps, seconds)
         return
     if real_object == (library is not None):
         raise InputError("record tap --simulate: name either a LIBRARY whose taps are played, or --object")

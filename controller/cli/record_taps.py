@@ -11,7 +11,8 @@ import typer
 
 from controller.cli.bench import Bench, simulated_bench, striking_bench
 from controller.cli.port import STOPPED, connected, load, run
-from controller.device.device_file import BUILT_IN, DeviceFile, Encoder
+from controller.device.device_file import BUILT_IN, DeviceFile
+from controller.device.rail import why_at_rail
 from controller.device.stated import servo_numbers
 from controller.host.driver import Device
 from controller.host.payload import load_playable, payload_of
@@ -28,25 +29,40 @@ from transopt.base import terminal
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.base.writing import rounded_down
+from transopt.library.library import Library
 
 TRIGGER_SHARE = 0.7  # of the softest tap's peak is proposed for --trigger
 LEAST_TRIGGER_G = 0.1  # what is proposed lies above the accelerometer's noise, 0.02 g rms
 
 
 def taps_by_a_person(
-    bench: Bench, out: Path, trigger_m_s2: float, encoder: Encoder, taps: int | None, seconds: float | None
+    bench: Bench, out: Path, trigger_m_s2: float, described: DeviceFile, taps: int | None, seconds: float | None
 ) -> None:
     """A real object's taps, the device idle: one file each, which `transopt taps` and scenes read."""
     make_room(out)
+    encoder, accelerometer = described.encoder, described.accelerometer
     with connected(bench.port) as device:
-        recorder = Recorder(out, device.hello.dt_s, encoder.count_m, encoder.surface_counts, trigger_m_s2)
-        title, enough = f"recording on {bench.name}", lambda: taps is not None and len(recorder.contacts) >= taps
+        recorder = Recorder(
+            out,
+            device.hello.dt_s,
+            encoder.count_m,
+            encoder.surface_counts,
+            trigger_m_s2,
+            accelerometer=accelerometer,
+        )
+
+        def counted() -> int:
+            return len(recorder.contacts) - len(recorder.at_rail)
+
+        title, enough = f"recording on {bench.name}", lambda: taps is not None and counted() >= taps
         _, stopped = run(bench, device, recorder, title, enough=enough, seconds=seconds)
     bench.console.print(recorder.in_words().removeprefix("; ") or "nothing came")
+    for number, why in recorder.at_rail.items():
+        bench.console.print(f"tap {number} does not count and has no file: {why}", style="yellow")
     if stopped:
         typer.echo(STOPPED, err=True)
         raise typer.Exit(130)
-    if not recorder.contacts:
+    if not counted():
         raise typer.Exit(1)
 
 
@@ -93,6 +109,9 @@ class TapFiles:
         self._places = list(product(enumerate(speeds), enumerate(grips), range(wanted.repeats)))
         self._written: list[str] = []
         self._silent: dict[str, float] = {}  # name of a tap that was not heard -> its largest deviation, in m/s^2
+        self._at_rail: dict[str, str] = {}  # name of a tap beyond the accelerometer's range -> the reason
+        range_g = wanted.wrong.sensors.accelerometer_range_g
+        self._accelerometer = wanted.device.accelerometer.model_copy(update={"range_g": range_g})
 
     def _taps(self) -> Iterator[tuple[SimulatedTap, str]]:
         wrong = replace(self._wrong, mismatch=0.0)
@@ -111,6 +130,7 @@ class TapFiles:
         gain: float | None = None,
         trigger_m_s2: float | None = None,
         more: Callable[[SimulatedTap, Contact], dict[str, FloatArray]] = lambda tap, contact: {},
+        library: Library | None = None,
     ) -> None:
         """Tap after tap.
 
@@ -119,6 +139,7 @@ class TapFiles:
         gain : of the library in force; None leaves the device idle.
         trigger_m_s2 : takes for a contact what the device does not report as one.
         more : columns of what is measured beside the device.
+        library : the one that is played; None for a real object.
         """
         for tap, name in self._taps():
             hand.plan([motion_of(tap)])
@@ -129,6 +150,10 @@ class TapFiles:
                 self._silent[name] = recorder.loudest_m_s2
                 continue
             contact = heard[0]
+            times_s = (contact.ticks - contact.tick) * contact.dt_s
+            if why := why_at_rail(times_s, contact.acceleration_m_s2, self._accelerometer, library):
+                self._at_rail[name] = why
+                continue
             columns, scalars = measured(contact, settings, self._wrong.sensors.accelerometer_bandwidth_Hz)
             write_measurement(self._out / name, {**columns, **more(tap, contact)}, scalars)
             self._written.append(name)
@@ -146,6 +171,10 @@ class TapFiles:
             remedy = f": give --trigger {rounded_down(lower, 1):g}, another --out" if lower >= LEAST_TRIGGER_G else ""
             softest = f", the softest of which reached {softest_g:.2g} g{remedy}" if softest_g > 0 else ""
             typer.echo(f"{nothing} in {', '.join(self._silent)}{softest}", err=True)
+            raise typer.Exit(1)
+        if self._at_rail:
+            name, why = next(iter(self._at_rail.items()))
+            typer.echo(f"{len(self._at_rail)} of {len(self._places)} taps have no file, {name}: {why}", err=True)
             raise typer.Exit(1)
         files = f"{self._out}: {len(self._written)} taps, {self._written[0]} to {self._written[-1]}"
         terminal.console().print(f"{files}\nnext: {following}" if following else files)
@@ -220,5 +249,7 @@ def taps_of_library(wanted: Wanted, library: Path, scene: str | None) -> None:
     bench, hand = simulated_bench(given, true, (), described=wanted.device)
     with connected(bench.port) as device:
         load(device, given, bench.console)
-        taps.record(bench, device, hand, given.settings, lambda tap: tap_of(loaded, true, tap), gain=1.0)
+        taps.record(
+            bench, device, hand, given.settings, lambda tap: tap_of(loaded, true, tap), gain=1.0, library=loaded
+        )
     taps.tell("nothing was played")

@@ -33,8 +33,9 @@ RAIL_COUNTS = 8  # so near to an end of the converter's range there is no number
 HEADROOM = 0.97  # of a converter's range that command and over-current may take
 OVER_CURRENT = 1.3  # on the largest current: above what a check and a tap overshoot by, below what harms
 POLE_ROOM = 1.5  # by which the amplifier's pole may differ from the stated one, up and down
-# Table -> unit of its sensor, the least reach that serves a tap, the most that is still read finely enough.
+# Table -> unit of its sensor, and the reaches of such sensors: beyond them another unit was stated.
 REACHES = {"accelerometer": ("g", 5.0, 1000.0), "grip": ("N", 2.0, 1000.0)}
+LEAST_RANGE_G = 13.0  # the built-in taps reach 10.9 g, gravity adds 1 g, and the last 2 % of a range count as its end
 NOISE_HZ = 10e3  # of the filter before a converter that is read every 100 us
 
 Part = Annotated[float, Field(ge=0, le=0.2)]
@@ -105,6 +106,7 @@ class Accelerometer(Sensor):
     """The accelerometer on the stylus."""
 
     bandwidth_Hz: Positive = Field(2500.0, description="its pole")
+    range_g: Positive = Field(description="of the sensor to either side, gravity included, from its datasheet")
 
 
 class Circuit(Section):
@@ -259,6 +261,7 @@ class Scales:
     ----------
     output_zero, output_per_A : counts of no command, and per ampere.
     current, acceleration, grip : of the inputs [A], [m/s^2], [N]; `grip` None without a sensor.
+    range_g : largest acceleration that sensor and converter read to either side, gravity included.
     count_m : path of the tip per count of the encoder.
     command, monitor : the stages; of a bridge None.
     loop : of a bridge.
@@ -272,6 +275,7 @@ class Scales:
     current: Scale
     acceleration: Scale
     grip: Scale | None
+    range_g: float
     count_m: float
     command: Stage | None
     monitor: Stage | None
@@ -328,12 +332,14 @@ def scales(circuit: Circuit, motor: Motor, ratio_1_m: float) -> Scales:
     if back is not None and "R6" in back.parts:
         open_V = supply_V * back.parts["R6"] / (back.parts["R5"] + back.parts["R6"])
         open_A = (open_V / V_per_count - current.zero_counts) * current.per_count
+    acceleration = _sensor("accelerometer", circuit.accelerometer, V_per_count, counts, STANDARD_GRAVITY_M_S2)
     return Scales(
         output_zero=zero_V / V_per_count,
         output_per_A=1 / (A_per_V * V_per_count),
         current=current,
-        acceleration=_sensor("accelerometer", circuit.accelerometer, V_per_count, counts, STANDARD_GRAVITY_M_S2),
+        acceleration=acceleration,
         grip=None if circuit.grip is None else _sensor("grip", circuit.grip, V_per_count, counts, 1.0),
+        range_g=_range_g(circuit.accelerometer, acceleration),
         count_m=2 * math.pi / (4 * circuit.encoder.lines * ratio_1_m),
         command=there,
         monitor=back,
@@ -359,6 +365,24 @@ def _need_room(circuit: Circuit, A_per_V: float, zero_V: float) -> None:
             f"power.command_A = {command_A:g} A: the circuit puts out up to {reach_A:.3g} A: set fewer volts per "
             "ampere in the amplifier, a smaller shunt, or less command"
         )
+
+
+def _range_g(sensor: Accelerometer, scale: Scale) -> float:
+    """The range that the sensor's own and the converter's leave.
+
+    Raises
+    ------
+    InputError : the built-in taps go beyond it.
+    """
+    counts = min(scale.zero_counts - scale.least, scale.most - scale.zero_counts)
+    read_g = counts * abs(scale.per_count) / STANDARD_GRAVITY_M_S2
+    if min(sensor.range_g, read_g) < LEAST_RANGE_G:
+        raise InputError(
+            f"accelerometer.range_g = {sensor.range_g:g} g, of which the converter reads {read_g:.3g} g: must be "
+            f"{LEAST_RANGE_G:g} g or more, which the built-in taps take: use a sensor of a wider range, or fewer "
+            "volts per g"
+        )
+    return min(sensor.range_g, read_g)
 
 
 def _sensor(table: str, sensor: Sensor, V_per_count: float, counts: int, unit: float) -> Scale:

@@ -193,7 +193,11 @@ def device_of(built: Electronics) -> DeviceFile:
         name=circuit.name,
         encoder=Encoder(count_m=built.scales.count_m, direction=circuit.encoder.direction),
         grip=Grip(sensor=circuit.grip is not None),
-        accelerometer=Accelerometer(bandwidth_Hz=circuit.accelerometer.bandwidth_Hz, rest_m_s2=9.81),
+        accelerometer=Accelerometer(
+            bandwidth_Hz=circuit.accelerometer.bandwidth_Hz,
+            rest_m_s2=9.81,
+            range_g=round(built.scales.range_g, 2),
+        ),
     )
 
 
@@ -246,7 +250,11 @@ def rows_of(built: Electronics) -> Iterator[tuple[str, str, str]]:
         yield "R6", "1 Mohm", "from the monitor to ground, so that a wire that is off reads a rail"
     wire = "reads a rail, which is a fault" if s.open_A is None else f"reads {s.open_A:+.2g} A"
     yield "", "", f"a monitor's wire that is off {wire}"
-    yield "ACCELERATION_M_S2", _in_words(s.acceleration, "m/s²"), f"pole {c.accelerometer.bandwidth_Hz:g} Hz"
+    yield (
+        "ACCELERATION_M_S2",
+        _in_words(s.acceleration, "m/s²"),
+        f"pole {c.accelerometer.bandwidth_Hz:g} Hz, range {s.range_g:.3g} g",
+    )
     if s.grip is not None:
         open_N = (s.grip.least - s.grip.zero_counts) * s.grip.per_count
         yield "GRIP_N", _in_words(s.grip, "N"), f"a wire at ground reads {open_N:.2g} N; a fault below -1 N"

@@ -18,6 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
+from controller.device.device_file import Accelerometer
+from controller.device.rail import why_at_rail
 from controller.protocol.events import Happened, News, Samples
 from controller.protocol.messages import Record, column
 from controller.record.telemetry import CSV_NAME, NPZ_NAME, Lines, Telemetry
@@ -83,11 +85,13 @@ class Recorder:
     trigger_m_s2 : deviation from the running mean that counts as a contact; None uses the contacts of the device.
     over : whether to overwrite a recording in the folder; if not, it is an error.
     around_s : time recorded before and after each contact.
+    accelerometer : of the device; a tap that reaches an end of its range gets no file. None looks at no range.
 
     Attributes
     ----------
     count_m, surface_counts : of the encoder; the surface may be moved between two taps.
     contacts : completed contacts.
+    at_rail : number of a contact that has reached an end of the accelerometer's range -> the reason in words.
     records, missed : numbers of records so far, received and lost.
     loudest_m_s2 : largest deviation from the running mean so far that could have been a contact; 0 without a trigger.
 
@@ -106,6 +110,7 @@ class Recorder:
         *,
         over: bool = False,
         around_s: tuple[float, float] = (BEFORE_S, AFTER_S),
+        accelerometer: Accelerometer | None = None,
     ) -> None:
         self._folder, self._dt_s, self._over = folder, dt_s, over
         self._before, self._after = (round(each / dt_s) for each in around_s)
@@ -115,6 +120,8 @@ class Recorder:
         self._rail_tick: int | None = None  # at which the present run of readings that are no number began
         self._first, self._every = 0, 1  # of the telemetry
         self.contacts: list[Contact] = []
+        self.at_rail: dict[int, str] = {}
+        self._accelerometer = accelerometer
         self.records = self.missed = 0
         self._kept: deque[tuple[int, Record]] = deque(maxlen=2 * (self._before + self._after))
         self._open: list[Happened] = []
@@ -131,7 +138,7 @@ class Recorder:
         if not self._begun:
             return ""
         files = [contact.path.name for contact in self.contacts if contact.path is not None]
-        lost = len(self.contacts) - len(files)
+        lost = len(self.contacts) - len(files) - len(self.at_rail)
         gaps = f" ({lost} taps with records lost have no file of their own)" if lost else ""
         return f"; {self._folder}: {', '.join([CSV_NAME, NPZ_NAME, EVENTS_NAME, *files])}, all whole{gaps}"
 
@@ -240,21 +247,27 @@ class Recorder:
         missed = (high - max(low, self._first)) // self._every + 1 - len(rows)
         scale, cooled = self._heat.pop(event.tick, (1.0, 0.0))
         before_N = column(records, "grip_N")[ticks < event.tick]
+        number, acceleration = len(self.contacts) + 1, column(records, "acceleration_m_s2")
+        why = ""
+        if self._accelerometer is not None and not missed:
+            why = why_at_rail((ticks - event.tick) * self._dt_s, acceleration, self._accelerometer)
+        if why:
+            self.at_rail[number] = why
         contact = Contact(
-            number=len(self.contacts) + 1,
+            number=number,
             tick=event.tick,
             speed_m_s=event.speed_m_s,
             grip_N=event.grip_N if np.isfinite(event.grip_N) else float(before_N.mean()),
             dt_s=self._dt_s,
             ticks=ticks,
             counts=column(records, "encoder_counts"),
-            acceleration_m_s2=column(records, "acceleration_m_s2"),
+            acceleration_m_s2=acceleration,
             current_A=column(records, "measured_current_A"),
             command_A=column(records, "command_A"),
             feedback_A=column(records, "feedback_A"),
             winding_C=column(records, "winding_C"),
             missed=missed,
-            path=None if missed or self._folder is None else self._folder / f"tap_{len(self.contacts) + 1:03d}.csv",
+            path=None if missed or why or self._folder is None else self._folder / f"tap_{number:03d}.csv",
             surface_counts=self.surface_counts,
             scale=scale,
             cooled=cooled,

@@ -17,17 +17,19 @@ def answering(monkeypatch: pytest.MonkeyPatch, *lines: str) -> None:
 def test_a_device_is_asked_for_step_by_step(play: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     # Name, encoder, no grip sensor, accelerometer, amplifier, servo, hardware; wrong answers are asked again.
     encoder, grip = ["far", "1", "1e-5", "-1", "1234"], ["perhaps", "no", "2.5"]
-    answering(monkeypatch, "desk", *encoder, *grip, "", "", "9.81", "1600", "", "", "1e-4", "", "", "")
+    answering(monkeypatch, "desk", *encoder, *grip, "", "", "9.81", "1600", "0.5", "16", "", "", "1e-4", "", "", "")
     outcome = play("device", "new", "mine.toml")
     assert outcome.code == 0, outcome.out + outcome.err
     assert "count_m [m]: path of the tip per count" in outcome.out
     assert "1: must be less than or equal to 0.0001" in outcome.out
     assert "perhaps: answer yes or no" in outcome.out
     assert "grip.scale" not in outcome.out
+    assert "0.5: must be greater than or equal to 1" in outcome.out
     device = read_device(Path("mine.toml")).device
     assert (device.name, device.encoder.direction, device.grip.sensor) == ("desk", -1, False)
     assert device.encoder.surface_counts == pytest.approx(1234)
     assert device.accelerometer.bandwidth_Hz == pytest.approx(1600)
+    assert device.accelerometer.range_g == pytest.approx(16)
     assert_refused(play("device", "new", "mine.toml"), "mine.toml: is there already")
 
 

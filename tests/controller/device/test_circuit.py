@@ -313,6 +313,13 @@ def test_the_command_writes_all_three_and_says_what_to_solder(play: Run, monkeyp
             "up to 0.0262 g, such sensors 5 to 1000 g: is it 0.0627 V per g?",
         ),
         (
+            "range_g = 16.0",
+            "range_g = 5.0",
+            "accelerometer.range_g = 5 g, of which the converter reads 26.2 g: must be",
+        ),
+        ("V_per_unit = 0.0627", "V_per_unit = 0.135", "of which the converter reads 12.2 g: must be 13 g or more"),
+        ("range_g = 16.0", "", "accelerometer.range_g: missing; add it to the file"),
+        (
             "V_per_unit = 0.0537",
             "V_per_unit = 5.37e-5",
             "grip.V_per_unit = 5.37e-05 V per N: the converter reads up to",
