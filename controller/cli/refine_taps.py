@@ -15,6 +15,7 @@ from controller.host.payload import Payload, payload_of
 from controller.protocol.codes import LinkNotice
 from controller.record.recorder import Contact, Recorder, make_room
 from controller.refine.heard import Heard, Node, hear, node_near
+from controller.refine.learner import LEAST_TAPS
 from controller.refine.tables import place
 from controller.servo.settings import Settings
 from controller.sim.sensors import noise_seed
@@ -160,7 +161,7 @@ class Taps:
         ------
         InputError : the device refuses, as one that has not passed its check does.
         StoppedError : Ctrl-C.
-        EndedError : a fault or a lost lease.
+        EndedError : a fault, a lost lease, or too few taps that count.
         """
         contacts, settings = self.contacts(library, number, nodes)
         heard: dict[Node, list[Heard]] = {node: [] for node in nodes}
@@ -179,6 +180,8 @@ class Taps:
             silent = [f"{silent[0]} ({len(silent)} of {len(contacts)} taps do not count)"] if silent else []
         for words in silent:
             terminal.console().print(words, style="yellow")
+        if silent and max(map(len, heard.values())) < LEAST_TAPS:
+            raise EndedError(f"round {number}: no node has {LEAST_TAPS} taps that count")
         return heard
 
     def contacts(self, library: Library, number: int, nodes: Sequence[Node]) -> tuple[Sequence[Contact], Settings]:

@@ -12,6 +12,7 @@ from tests.benches.commands import Run, assert_refused, captured
 from transopt.identify.hand.tap import usable_taps
 from transopt.identify.measurement import load_measurement
 from transopt.recordings.recording import load_recording
+from transopt.scene.builtin import scene_path
 from transopt.scene.scene import Scene
 
 SWEEP = ("record", "sweep", "--simulate", "--out", "sweeps")
@@ -126,6 +127,15 @@ def test_the_accelerometer_has_the_range_of_the_scenes_recordings(play: Run) -> 
     assert outcome.code == 0, outcome.err
     peak_m_s2 = np.abs(columns("t/tap_0.6m_s_1N_1.npz")["acceleration_m_s2"]).max()
     assert peak_m_s2 > SEED_SENSORS.accelerometer_range_g * 9.81
+
+
+def test_taps_beyond_the_range_have_no_file_and_a_reason(play: Run) -> None:
+    text = scene_path("firm_fast").read_text(encoding="utf-8")
+    Path("narrow.toml").write_text(text.replace("range_g = 50.0 ", "range_g = 10.0 "))
+    outcome = play(*OBJECT, "--true-device", "narrow.toml", "--speeds", "0.1,0.6", "--grips", 1)
+    assert outcome.code == 1
+    assert "1 of 2 taps have no file, tap_0.6m_s_1N_1.npz: the accelerometer was at its rail at" in outcome.err
+    assert [path.name for path in Path("t").iterdir()] == ["tap_0.1m_s_1N_1.npz"]
 
 
 def test_the_hand_is_read_from_taps_on_a_soft_object(play: Run) -> None:

@@ -202,6 +202,31 @@ def test_the_trigger_finds_the_rise_once_and_not_gravity() -> None:
     assert recorder.contacts[0].grip_N == pytest.approx(3.0005, abs=1e-4)
 
 
+def test_a_tap_that_begins_beyond_the_range_is_found_and_so_is_the_next() -> None:
+    """A reading at the accelerometer's rail is no number, and no part of the running mean."""
+    recorder = Recorder(None, DT_S, COUNT_M, trigger_m_s2=5.0)
+    acceleration = np.full(12_000, 9.8)
+    acceleration[4000:4020] = [np.nan] * 6 + [60.0] * 14
+    acceleration[8000:8020] += 30.0
+    acceleration[9500:9600] = np.nan  # a loose contact
+    for tick, value in enumerate(acceleration):
+        recorder.take(Samples(tick, 1, (replace(record(tick), acceleration_m_s2=value),), 0))
+    assert [c.tick for c in recorder.contacts] == [4000, 8000]
+    assert recorder.loudest_m_s2 == pytest.approx(60.0 - 9.8)
+
+
+def test_a_tap_of_an_object_beyond_the_range_has_a_reason_and_no_file(tmp_path: Path) -> None:
+    acceleration = np.full(12_000, 9.8)
+    acceleration[4000:4020] = [np.nan] * 6 + [60.0] * 14
+    acceleration[8000:8020] += np.linspace(40.0, 10.0, 20)
+    with Recorder(tmp_path / "out", DT_S, COUNT_M, trigger_m_s2=5.0, accelerometer=ACCELEROMETER) as recorder:
+        for tick, value in enumerate(acceleration):
+            recorder.take(Samples(tick, 1, (replace(record(tick), acceleration_m_s2=value),), 0))
+    assert recorder.at_rail == {1: "the accelerometer was at its rail at 0.0 ms: use one with a wider range"}
+    assert sorted(path.name for path in (tmp_path / "out").glob("tap_*")) == ["tap_002.csv"]
+    assert "with records lost" not in recorder.in_words()
+
+
 # Figures.
 
 
@@ -281,6 +306,23 @@ def test_where_there_is_nothing_to_compare(library: Library, stated: Settings) -
     assert "not judged" not in played_tap(edge, library, stated, 1.0, ACCELEROMETER).why
     sparse = replace(good, **{name: getattr(good, name)[::3] for name in ("ticks", "counts", "acceleration_m_s2")})
     assert played_tap(sparse, library, stated, 1.0, ACCELEROMETER).why == "telemetry of every tick is needed"
+
+
+def test_only_a_reading_within_what_is_compared_hides_a_tap(library: Library, stated: Settings) -> None:
+    good = played(library, stated)
+    figures = played_tap(good, library, stated, 1.0, ACCELEROMETER).compared
+    times_s = (good.ticks - good.tick) * DT_S
+
+    def at(*instants_s: float) -> Contact:
+        lost = np.isin(np.round(times_s / DT_S), np.round(np.array(instants_s) / DT_S))
+        return replace(good, acceleration_m_s2=np.where(lost, np.nan, good.acceleration_m_s2))
+
+    around = played_tap(at(-0.05, -0.019, 0.085), library, stated, 1.0, ACCELEROMETER)
+    assert around.why == ""
+    assert around.compared.playback_error == pytest.approx(figures.playback_error, abs=1e-4)
+    within = played_tap(at(3.4e-3), library, stated, 1.0, ACCELEROMETER)
+    assert within.why.startswith("the accelerometer was at its rail at 3.")
+    assert np.isnan(within.compared.tap_error)
 
 
 def test_contact_is_where_the_approach_leads(library: Library, stated: Settings) -> None:
