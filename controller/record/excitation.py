@@ -4,6 +4,7 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
+from transopt.base.writing import rounded_up
 
 RISE_PART, RISE_PERIODS, FALL_PERIODS = 0.05, 0.5, 10.0
 LEAST_SAMPLES = 16
@@ -60,7 +61,8 @@ def sweep_command(
         raise InputError(f"sweep: low {low_Hz:g} Hz: must be below high, {high_Hz:g} Hz")
     if not seconds * low_Hz >= 1 - 1e-9:
         raise InputError(
-            f"sweep: seconds {seconds:g}: one period of {low_Hz:g} Hz takes {1 / low_Hz:g} s; sweep longer"
+            f"sweep: seconds {seconds:g} s: must be {rounded_up(1 / low_Hz):g} s or more, one period of low "
+            f"{low_Hz:g} Hz: give --seconds {rounded_up(1 / low_Hz):g} or a higher --low"
         )
     samples = round(seconds / dt_s)
     if samples < LEAST_SAMPLES:

@@ -1,5 +1,7 @@
 """The excitation's command and the file of a trial, by their defining properties."""
 
+import re
+
 import numpy as np
 import pytest
 from scipy import signal
@@ -58,7 +60,7 @@ def test_the_offset_shifts_the_middle() -> None:
         ({"low_Hz": 0.0}, "low 0 Hz"),
         ({"low_Hz": 3000.0}, "below high"),
         ({"high_Hz": 5000.0}, "half the servo's rate, 5000 Hz"),
-        ({"seconds": 0.5}, "one period of 1 Hz takes 1 s"),
+        ({"seconds": 0.5}, "seconds 0.5 s: must be 1 s or more, one period of low 1 Hz: give --seconds 1 or a"),
         ({"seconds": float("nan")}, "seconds nan"),
         ({"low_Hz": 900.0, "high_Hz": 1000.0, "seconds": 0.0012}, "12 samples are too few"),
         ({"amplitude_A": -1.0}, "amplitude -1 A"),
@@ -70,6 +72,16 @@ def test_numbers_out_of_range_are_named(change: dict[str, float], says: str) -> 
     given = {"low_Hz": 1.0, "high_Hz": 2000.0, "seconds": 2.0, "amplitude_A": 0.75, "dt_s": DT_S, **change}
     with pytest.raises(InputError, match=says):
         sweep_command(**given)
+
+
+@pytest.mark.parametrize("low_Hz", [0.3, 1.0, 7.0])
+def test_the_length_that_is_named_is_taken(low_Hz: float) -> None:
+    given = {"high_Hz": 2000.0, "amplitude_A": 0.75, "dt_s": DT_S}
+    with pytest.raises(InputError) as refused:
+        sweep_command(low_Hz=low_Hz, seconds=0.1, **given)
+    named = re.search(r"--seconds ([\d.]+)", str(refused.value))
+    assert named is not None
+    assert sweep_command(low_Hz=low_Hz, seconds=float(named[1]), **given).size > 0
 
 
 def test_the_presets_of_a_plan() -> None:
