@@ -13,8 +13,8 @@ from controller.device.device_file import BUILT_IN, DeviceFile
 from controller.host.diagnosis import Ratios, diagnosis
 from controller.host.driver import Device
 from controller.protocol.codes import LinkNotice
-from controller.protocol.events import Changed, Happened, News, Samples
-from controller.protocol.messages import Record, column
+from controller.protocol.events import Changed, Happened, News, Samples, column
+from controller.protocol.messages import Record
 from controller.servo.interface import Fault, Notice
 from controller.servo.settings import Settings
 from transopt.base.signals import FloatArray

@@ -17,8 +17,8 @@ from controller.host.driver import LATE_S, Device, DeviceError, LinkLostError
 from controller.host.rates import LOOK_S, remedy
 from controller.protocol.capacity import TRIAL_GAIN
 from controller.protocol.codes import LinkNotice
-from controller.protocol.events import Happened, News, Samples
-from controller.protocol.messages import Record, column
+from controller.protocol.events import Happened, News, Samples, column
+from controller.protocol.messages import Record
 from controller.record.trial_file import write_measurement
 from controller.servo.interface import Fault, Notice, State
 from transopt.base.signals import FloatArray

@@ -1,12 +1,17 @@
 """Events that a session reports to its user: frozen, in the order in which they happened."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
+from operator import attrgetter
+
+import numpy as np
 
 from controller.protocol.capacity import Capacity
 from controller.protocol.codes import Kind, Reason, What
 from controller.protocol.messages import EvidenceReply, HelloReply, Record
 from controller.servo.interface import Fault, State
+from transopt.base.signals import FloatArray
 
 
 class Cause(Enum):
@@ -120,6 +125,11 @@ class Ended:
 
 
 News = Connected | Completed | Refused | Progress | Changed | Happened | Samples | Witnessed | Logged | Ended
+
+
+def column(records: Iterable[Record], name: str) -> FloatArray:
+    """(n,) one field of records."""
+    return np.fromiter(map(attrgetter(name), records), dtype=float)
 
 
 def capacity_of(reply: HelloReply) -> Capacity:

@@ -17,12 +17,9 @@ nothing; older ones are dropped. HELLO opens its session; frames of others are d
 """
 
 import struct
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
-from operator import attrgetter
 from typing import dataclass_transform
-
-import numpy as np
 
 from controller.protocol.codes import Kind
 from controller.protocol.packed import (
@@ -41,7 +38,6 @@ from controller.protocol.packed import (
     Tail,
     packed,
 )
-from transopt.base.signals import FloatArray
 
 PROTOCOL = 6
 MAGIC = 0x54504E54  # "TNPT": HELLO of another protocol does not begin with it
@@ -413,11 +409,6 @@ class EvidenceReply(Packed):
 KINDS: dict[type[Packed], Kind] = {message: kind for kind, message in MESSAGES.items()}
 DATA_LIMIT = BODY_LIMIT - Data.FORMAT.size  # most bytes of an image in one frame
 RECORDS_LIMIT = (BODY_LIMIT - TelemetryData.FORMAT.size) // Record.FORMAT.size
-
-
-def column(records: Iterable[Record], name: str) -> FloatArray:
-    """(n,) one field of records."""
-    return np.fromiter(map(attrgetter(name), records), dtype=float)
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,8 +20,8 @@ import numpy as np
 
 from controller.device.device_file import Accelerometer
 from controller.device.rail import why_at_rail
-from controller.protocol.events import Happened, News, Samples
-from controller.protocol.messages import Record, column
+from controller.protocol.events import Happened, News, Samples, column
+from controller.protocol.messages import Record
 from controller.record.telemetry import CSV_NAME, NPZ_NAME, Lines, Telemetry
 from controller.record.trial_file import refuse_old
 from controller.servo.interface import Fault, Notice
