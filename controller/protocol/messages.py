@@ -155,7 +155,7 @@ class Lease(Packed):
 
 @message(Kind.DISARM)
 class Disarm(Packed):
-    """Leave ARMED or PLAYING for IDLE."""
+    """Leave ARMED or PLAYING for IDLE, and cut test pulses."""
 
 
 @message(Kind.RESET)

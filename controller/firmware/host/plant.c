@@ -159,7 +159,7 @@ void plant_read(plant *of, uint64_t tick, td_readings *readings)
 {
     const double current_A = of->x[2 * of->masses], sensed_m_s2 = of->x[2 * of->masses + 1];
     const double held_N = of->grip_N[of->at], slack_N = of->grip_hysteresis * held_N;
-    double grip_N;
+    double grip_N, felt_m_s2;
 
     of->wander_m_s2 = of->acceleration_keep * of->wander_m_s2 + of->acceleration_fresh_m_s2 * normal(of);
     of->felt_N = held_N + within(of->felt_N - held_N, slack_N);
@@ -168,7 +168,9 @@ void plant_read(plant *of, uint64_t tick, td_readings *readings)
     readings->encoder_counts = (int32_t)floor(of->x[0] / of->count_m + 0.5);
     readings->grip_N = (td_real)(grip_N > 0 ? grip_N : 0);
     readings->current_A = (td_real)(current_A + of->current_noise_A * normal(of));
-    readings->acceleration_m_s2 = (td_real)within(sensed_m_s2 + of->wander_m_s2, of->acceleration_limit_m_s2);
+    /* At an end of the range a port reads no number. */
+    felt_m_s2 = sensed_m_s2 + of->wander_m_s2;
+    readings->acceleration_m_s2 = (td_real)(fabs(felt_m_s2) <= of->acceleration_limit_m_s2 ? felt_m_s2 : (double)NAN);
     readings->emergency_stop = readings->late = readings->host_stop = false;
 }
 

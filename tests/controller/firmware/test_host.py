@@ -26,13 +26,15 @@ from controller.sim.true_device import DEFAULT_DEVICE, Ground, device_of
 from controller.sim.user import STRAIGHT, StillHand, TapsInTurn, TapUser
 from tests.benches.commands import Terminal, assert_refused
 from transopt.base.errors import InputError
+from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.library.library import Library
 from transopt.scene.scene import Scene
 
 pytestmark = pytest.mark.usefixtures("c_compiler")
 
 DT_S = 1e-4
-QUIET = Sensors(accelerometer_noise_g_rtHz=0.0, grip_noise_N=0.0, current_noise_A=0.0)
+RANGE_G = 7.0  # beyond which the readings are no number
+QUIET = Sensors(accelerometer_noise_g_rtHz=0.0, accelerometer_range_g=RANGE_G, grip_noise_N=0.0, current_noise_A=0.0)
 FILES = [*sources(CORE), *sources(FIRMWARE / "host")]
 WAIT_S = 60.0  # for a process on a busy machine; nothing is judged by it
 
@@ -85,6 +87,8 @@ def test_the_compiled_plant_moves_as_the_simulator(hand: TapsInTurn | StillHand,
         truth.advance(command)
     library.plant_free(room)
     compiled, wanted = map(np.array, found)
+    assert 0 < np.isnan(wanted[:, 3]).sum() < 0.3 * len(wanted)
+    assert np.nanmax(np.abs(wanted[:, 3])) > 0.9 * RANGE_G * STANDARD_GRAVITY_M_S2
     assert np.ptp(wanted[:, 0]) > 10
     assert np.ptp(wanted[:, 2]) > 2.0
     assert np.abs(compiled[:, 0] - wanted[:, 0]).max() <= 1  # where it rounds the other way
