@@ -196,8 +196,8 @@ def record_tap(
         from transopt.base.signals import STANDARD_GRAVITY_M_S2
 
         assert port is not None
-        found = described(device).device
-        taps_by_a_person(person_at(port), out, trigger * STANDARD_GRAVITY_M_S2, found, taps, seconds)
+        trigger_m_s2 = trigger * STANDARD_GRAVITY_M_S2
+        taps_by_a_person(person_at(port), out, trigger_m_s2, described(device).device, taps, seconds)
         return
     if real_object == (library is not None):
         raise InputError("record tap --simulate: name either a LIBRARY whose taps are played, or --object")
