@@ -3,7 +3,7 @@
 The spelling of a unit does not matter: m/s², M/S^2, m/sec**2 and m s-2 are one unit. A capital that changes the
 meaning does: MV is not a millivolt. A response has the unit of an acceleration, velocity or position over that of an
 input, g/V for example; both parts are looked up in the table. A sensor's raw reading is written with its sensitivity:
-"mV @ 100 mV/g", "counts @ 3.9 mg/count".
+"mV @ 100 mV/g", "counts @ 3.9 mg/count". A minus in front, "-mm" or "mV @ -100 mV/g", turns the sign of a channel.
 """
 
 import math
@@ -50,6 +50,8 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "imaginary": {},
     "phase": {"deg": math.pi / 180, "°": math.pi / 180, "rad": 1.0},
 }
+SIGNED = ("acceleration", "velocity", "position", "force", "grip", "current")  # a minus may turn the sign of these
+TURNED = "-"  # before a unit, for the other sign
 RATIOS = ("magnitude", "real", "imaginary")  # quantities that are an acceleration over an input
 LONGEST_UNIT = 100  # characters, of a sensor's with its sensitivity
 MOST_LIKELY = {"time": 4, "acceleration": 4}  # number of common units of these quantities
@@ -57,7 +59,7 @@ SENSITIVITIES = ("100 mV/g", "10 mV/g", "500 mV/g", "1000 mV/g", "300 mV/g", "50
 # 16-bit converters with ranges of 2, 4, 8 and 16 g; ADXL345 and ADXL375.
 RESOLUTIONS = ("16384 LSB/g", "8192 LSB/g", "4096 LSB/g", "2048 LSB/g", "3.9 mg/LSB", "49 mg/LSB")
 _COUNTS = ("count", "counts", "LSB", "digit", "digits")  # units of a converter's reading
-_AMOUNT = re.compile(r"\s*(?P<number>\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)?\s*(?P<unit>\S.*?)\s*")
+_AMOUNT = re.compile(r"\s*(?P<number>-?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)?\s*(?P<unit>\S.*?)\s*")
 _SIGNS = str.maketrans({"²": "2", "⁻": "-", "µ": "u", "μ": "u", "·": " ", "*": " ", "^": None})
 _WORD = re.compile(
     r"(?<![a-z])(?P<prefix>milli|micro|nano|kilo|[munk])?"
@@ -118,6 +120,9 @@ def _factor(unit: str, quantity: str) -> float | None:
         return None
     if "@" in unit:
         return _sensed(unit, quantity)
+    if unit[:1] == TURNED:
+        factor = _factor(unit[1:], quantity) if quantity in SIGNED else None
+        return None if factor is None else -factor
     plain, exact = _SPELT.get(_plain(unit), _plain(unit)), _EXACT[quantity]
     if plain in exact:
         return exact[plain]
@@ -135,7 +140,7 @@ def _sensed(unit: str, quantity: str) -> float | None:
         told = [(float(found["number"] or 1), found["unit"]) for found in amounts if found]
         for (by, electrical), (of, sensed) in (told, told[::-1]) if len(told) == 2 else ():
             given, factor = _electrical(electrical), _factor(sensed, quantity)
-            if given and read and factor is not None and given[0] == read[0] and min(by, of) > 0:
+            if given and read and factor is not None and given[0] == read[0] and by != 0 != of:
                 return factor * of * read[1] / (by * given[1])
     return None
 

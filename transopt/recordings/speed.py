@@ -6,12 +6,13 @@ s sqrt(192 / n) / T. The speed therefore has a confidence interval, which is rep
 """
 
 import math
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
 from transopt.base.errors import InputError
-from transopt.base.signals import FloatArray, Signal
+from transopt.base.signals import FloatArray, Signal, integral
 from transopt.recordings.recording import Recording
 
 UNKNOWN = "unknown"  # source of a speed that is not known
@@ -21,6 +22,8 @@ LEAST_SAMPLES = 8
 CONTRADICTED = 0.15  # relative difference of a stated speed from the position's, above which a note reports it
 UNSURE_SPEED = 0.05  # half the 95 % interval over the speed, above which a note reports it
 UNKNOWN_SPEED = 0.2  # half the 95 % interval over the speed, above which the fit is refused
+STOPS_S = (5e-3, 20e-3)  # after contact: least and usual time over which position and acceleration are compared
+OPPOSED = 0.25  # share of the way that the acceleration gives, by which the position may go the other way
 LAST_STEP = 1e-9  # relative step of Newton's method at which it stops; the next would be its square, below rounding
 
 
@@ -29,8 +32,8 @@ def incoming_speed(recording: Recording, onset_s: float) -> tuple[float, str, li
 
     Raises
     ------
-    InputError : the position has too few samples before contact, moves the other way, or scatters so much that the
-        speed is uncertain by more than 20 %.
+    InputError : the position has too few samples before contact, or scatters so much that the speed is uncertain by
+        more than 20 %.
     """
     if recording.speed_m_s is not None:
         return recording.speed_m_s, "stated", []
@@ -47,16 +50,62 @@ def incoming_speed(recording: Recording, onset_s: float) -> tuple[float, str, li
         )
     speed, error = _fitted_speed(position, onset_s, z)
     share = error / abs(speed) if speed else np.inf
-    if not speed > 0 and speed + error <= 0:
-        raise InputError(
-            f"{recording.name}: speed fitted from position_m = {speed:g} m/s: must be > 0 (z is positive out of "
-            "the object): check the sign of position_m or state `# speed_m_s: ...`"
-        )
     found = f"speed fitted to the position of the {lead_ms:.2g} ms before contact: {speed:.3g} +- {error:.2g} m/s"
     if not (speed > 0 and share <= UNKNOWN_SPEED):
         limit = f"limit +- {100 * UNKNOWN_SPEED:g} % (95 %)"
         raise InputError(f"{recording.name}: {found}, {limit}: {remedy}")
     return speed, FITTED, [f"{found} (95 %): {remedy}"] if share > UNSURE_SPEED else []
+
+
+def facing_out(recording: Recording, x: Signal, onset_s: float) -> tuple[Recording, list[str]]:
+    """The recording with its position positive out of the object, and a note if its sign was turned for that.
+
+    A tap approaches the object, so the position falls before contact. The sign is left as it is where the position
+    does not tell: too few samples, or a speed within its interval.
+
+    Parameters
+    ----------
+    x : without offset, positive where the tap decelerates the stylus [m/s^2]. onset_s : time of contact.
+
+    Raises
+    ------
+    InputError : after contact the position speeds up where the acceleration slows the stylus down.
+    """
+    position = recording.position
+    z = np.empty(0) if position is None else _before_contact(position, onset_s)
+    if position is None or z.size < LEAST_SAMPLES:
+        return recording, []
+    speed, error = _fitted_speed(position, onset_s, z)
+    if abs(speed) <= error:
+        return recording, []
+    facing = position if speed > 0 else position.scaled(-1.0)
+    _refuse_opposed(recording.name, facing, abs(speed), error, x, onset_s)
+    if speed > 0:
+        return recording, []
+    note = "the position grows towards the object: its sign is turned, so that it is positive out of the object"
+    return replace(recording, position=facing), [note]
+
+
+def _refuse_opposed(name: str, position: Signal, speed_m_s: float, error_m_s: float, x: Signal, onset_s: float) -> None:
+    """Refuse a position and an acceleration that cannot be of one tap.
+
+    Over the time T after contact the acceleration moves the stylus by its double integral off the straight way with
+    the incoming speed. The position has to leave that way to the same side.
+    """
+    during = x.part(x.before(onset_s), x.until(min(onset_s + STOPS_S[1], position.end_s, x.end_s)))
+    duration = during.end_s - onset_s
+    if duration < STOPS_S[0]:
+        return
+    slowed = float(integral(integral(during.values, x.dt_s), x.dt_s)[-1])
+    ends = np.interp([onset_s, during.end_s], position.times_s, position.values)
+    left = float(ends[1] - ends[0]) + speed_m_s * duration
+    if slowed > 0 and left < -max(OPPOSED * slowed, error_m_s * duration + 2 * position.count):
+        raise InputError(
+            f"{name}: by the acceleration the stylus stops short by {1e3 * slowed:.2g} mm in the "
+            f"{1e3 * duration:.0f} ms after contact, by the position it runs {-1e3 * left:.2g} mm ahead: both cannot "
+            "be of one tap; check that the columns are of one contact, or leave the position out (name it `-` in "
+            "--columns)"
+        )
 
 
 def contradiction(recording: Recording, onset_s: float) -> str:

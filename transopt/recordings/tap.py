@@ -22,7 +22,7 @@ from transopt.recordings.onset import Upright, contact, onsets_of, rises, uprigh
 from transopt.recordings.plausible import HAND_M_S, implausible_motion, implausible_time
 from transopt.recordings.recording import Recording, load_recording
 from transopt.recordings.settings import Recordings
-from transopt.recordings.speed import FITTED, UNKNOWN, contradiction, incoming_speed
+from transopt.recordings.speed import FITTED, UNKNOWN, contradiction, facing_out, incoming_speed
 from transopt.recordings.split import split, white_noises
 
 CLIPPED_RUN = 3  # samples; two equal ones may be chance
@@ -280,6 +280,7 @@ def _prepared(
     settings: Recordings,
 ) -> PreparedTap:
     raw, stretch, (onset, found) = recording.acceleration, settings.time_scale, touched
+    recording, turned = facing_out(recording, up.signal, onset)
     is_stated = settings.offset_m_s2 != "baseline"
     came = find_approach(up.signal, recording.position, onset, noise, settings.trusted_from_Hz, stated=is_stated)
     if came.acceleration is not up.signal:
@@ -295,7 +296,7 @@ def _prepared(
     clipped = _clipped(raw.values, offset)
     stop = f"{clipped} samples at the end stop: the true peak is higher; use a sensor of larger range"
     doubts = _doubts(raw, speed, peak, noise if np.isnan(speed) else factor * noise)
-    notes = (*up.notes, *found, *came.notes, pulled, *unsure, stop if clipped else "", hit, *doubts)
+    notes = (*up.notes, *found, *turned, *came.notes, pulled, *unsure, stop if clipped else "", hit, *doubts)
     return PreparedTap(
         recording=recording,
         acceleration=filtered,

@@ -78,6 +78,16 @@ def test_a_response_is_an_acceleration_over_an_input(unit: str, factor: float, p
     assert found.factor == pytest.approx(factor, rel=1e-12)
 
 
+def test_a_minus_turns_the_sign_of_what_has_one() -> None:
+    for quantity, unit, factor in (("position", "-mm", -1e-3), ("acceleration", "-g", -G), ("force", "-N", -1.0)):
+        found = read_unit(unit, quantity)
+        assert found is not None
+        assert found.factor == pytest.approx(factor, rel=1e-12)
+    assert read_unit("-s", "time") is None
+    assert read_unit("-dB", "magnitude") is None
+    assert read_unit("-", "position") is None
+
+
 def test_units_are_compared_by_meaning() -> None:
     assert Unit(1.0, "voltage").means(Unit(1.0 + 1e-15, "voltage"))
     assert not Unit(1.0, "voltage").means(Unit(1.0, "current"))

@@ -46,6 +46,7 @@ def proposed(message: str, option: str) -> str:
         ("counts @ 3.9 mg/count", 3.9e-3 * G),
         ("LSB @ 16384 LSB/g", G / 16384),
         ("counts @ 16 g/32768 counts", 16 * G / 32768),
+        ("mV @ -100 mV/g", -G / 100),
     ],
 )
 def test_a_sensitivity_may_be_written_either_way_up(unit: str, size: float) -> None:
@@ -54,7 +55,7 @@ def test_a_sensitivity_may_be_written_either_way_up(unit: str, size: float) -> N
 
 
 @pytest.mark.parametrize(
-    "unit", ["V @ 10", "@", "mV @@ /g", "V @ -1 V/g", "V @ 0 V/g", "g @ 1 mV/g", "counts @ 1 V/g", "MV @ 1 mV/g"]
+    "unit", ["V @ 10", "@", "mV @@ /g", "V @ --1 V/g", "V @ 0 V/g", "g @ 1 mV/g", "counts @ 1 V/g", "MV @ 1 mV/g"]
 )
 def test_no_sensitivity_can_be_read_from_less(unit: str) -> None:
     assert read_unit(unit, "acceleration") is None

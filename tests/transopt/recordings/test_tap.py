@@ -7,7 +7,7 @@ import pytest
 
 from tests.benches.pulses import pulse
 from transopt.base.errors import InputError
-from transopt.base.signals import Signal
+from transopt.base.signals import Signal, integral
 from transopt.recordings.onset import find_onsets
 from transopt.recordings.recording import Recording
 from transopt.recordings.settings import Recordings
@@ -17,6 +17,21 @@ from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 
 SETTINGS = Recordings(files=["unused"])
+
+
+SPEED_M_S = 0.2
+
+
+def hand_speeding_up() -> Recording:
+    """A hand with a0 = -3 m/s^2 that meets an object at t = 0 with 0.2 m/s; the sensor reads gravity besides."""
+    t = np.arange(-0.06, 0.1, 1e-4)
+    after = np.clip(t, 0.0, None)
+    hit = np.where(t > 0, 120.0 * np.exp(-after / 2e-3) * np.sin(500.0 * after), 0.0) - 3.0
+    speed = integral(hit, 1e-4)
+    contact = int(np.searchsorted(t, 0.0))
+    z = integral(speed - speed[contact] - SPEED_M_S, 1e-4)
+    position = Signal(-0.06, 1e-4, z - z[contact])
+    return Recording("tap", "", "", Signal(-0.06, 1e-4, hit + 9.80665), position=position)
 
 
 class TestPrepare:
@@ -69,10 +84,37 @@ class TestPrepare:
         with pytest.raises(InputError, match=r"test: no incoming speed: the file neither states it \(`# speed_m_s"):
             assign([prepare(pulse(speed=None), SETTINGS)], [0.2], SETTINGS)
 
-    def test_receding_position_is_refused(self) -> None:
-        away = Signal(0.0, 1e-4, 0.1 * np.arange(800) * 1e-4)
-        with pytest.raises(InputError, match=r"speed fitted from position_m = -0.1 m/s: must be > 0"):
-            prepare(pulse(speed=None, position=away), SETTINGS)
+    @pytest.mark.parametrize("speed", [None, SPEED_M_S])
+    def test_a_position_that_grows_towards_the_object_is_turned(self, speed: float | None) -> None:
+        """Speed, a0 and offset are those of the position that is positive out of the object."""
+        out = replace(hand_speeding_up(), speed_m_s=speed)
+        assert out.position is not None
+        as_it_should, turned = prepare_all([out, replace(out, position=out.position.scaled(-1.0))], SETTINGS)
+        assert as_it_should.incoming_acceleration_m_s2 == pytest.approx(-3.0, abs=0.2)
+        for name in ("speed_m_s", "incoming_acceleration_m_s2", "offset_m_s2", "peak_m_s2"):
+            assert getattr(turned, name) == pytest.approx(getattr(as_it_should, name), rel=1e-9)
+        assert turned.recording.position is not None
+        np.testing.assert_allclose(turned.recording.position.values, out.position.values, atol=1e-15)
+        assert any("its sign is turned" in note for note in turned.notes)
+        assert not any("its sign is turned" in note for note in as_it_should.notes)
+
+    @pytest.mark.parametrize("sign", [1.0, -1.0])
+    def test_a_position_that_runs_ahead_where_the_acceleration_stops_is_refused(self, sign: float) -> None:
+        """The stylus cannot leave the straight way to the other side than its acceleration."""
+        recording = hand_speeding_up()
+        assert recording.position is not None
+        t, z = recording.position.times_s, recording.position.values
+        ahead = np.where(t > 0, -SPEED_M_S * t - (z + SPEED_M_S * t), z)
+        opposed = replace(recording, position=replace(recording.position, values=sign * ahead))
+        with pytest.raises(InputError, match=r"tap: by the acceleration the stylus stops short by 1?\d\S* mm .* ahead"):
+            prepare(opposed, SETTINGS)
+
+    def test_a_position_at_rest_tells_no_direction(self) -> None:
+        recording = hand_speeding_up()
+        assert recording.position is not None
+        still = replace(recording.position, values=1e-9 * np.sin(np.arange(recording.position.values.size) ** 2.0))
+        with pytest.raises(InputError, match="speed fitted to the position"):
+            prepare(replace(recording, position=still), SETTINGS)
 
     def test_clipping_is_counted(self) -> None:
         recording = pulse()
