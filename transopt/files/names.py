@@ -2,7 +2,7 @@
 
 A name in a file is understood in one of three ways:
 
-- `acceleration_g`, quantity and unit in one word, as in the project's own names, or `acc_g`;
+- `acceleration_g`, quantity and unit in one word, as in the project's own names, or `acc_g`, `acc1 g`, `ai0_g`;
 - `acc [g]`, `time (ms)`, `Force/N`: a common name of the quantity followed by its unit;
 - `acc` with a unit that the user states (`--units acc=g`, or `units = { acc = "g" }` in a scene).
 
@@ -19,7 +19,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 from transopt.base.errors import InputError
-from transopt.files.units import RATIOS, Unit, is_electrical, is_unit, read_unit
+from transopt.files.units import RATIOS, Unit, is_electrical, is_exact, is_unit, read_unit
 
 SKIPPED = "-"
 LONGEST_NAME = 200  # characters; in a longer name no unit is looked for
@@ -331,22 +331,36 @@ def apart(name: str) -> tuple[str, str | None]:
         noted = (each for pattern in _NOTED if (each := pattern.fullmatch(name.strip())) and is_unit(each["unit"]))
         found = next(noted, found)
     if found is None:
-        return next(
-            filter(None, (_unit_in_word(name, at) for at, mark in enumerate(name) if mark == "_")), (name, None)
-        )
+        return _unit_in_word(name) or (name, None)
     return found["base"].strip(), found["unit"].strip() or None
 
 
-def _unit_in_word(name: str, at: int) -> tuple[str, str] | None:
-    """Quantity and unit of a name such as acc_g or pos_mm, split at this underscore; None if they are none."""
-    base, unit = name[:at].strip(), name[at + 1 :].strip()
-    small = base.lower().replace("_", " ")
-    of = (
-        quantity
-        for quantity, names in ALIASES.items()
-        if small in (quantity, *names) or INITIALS.get(small) == quantity or (quantity == "force" and small in LOADS)
-    )
-    return (base, unit) if any(read_unit(unit, quantity) for quantity in of) else None
+def _unit_in_word(name: str) -> tuple[str, str] | None:
+    """What stands before a unit at the end of a name, and the unit, as in acc_g, acc1 g or ai0_mps2; None without one.
+
+    Behind a quantity's name the unit is one of that quantity. Behind any other name it is spelt exactly and follows an
+    underscore, because Channel A is no current.
+    """
+    parted = [(name[:at].strip(" _"), name[at + 1 :].strip(), name[at]) for at in range(len(name)) if name[at] in "_ "]
+    for base, unit, _ in parted:
+        small, words = base.lower().replace("_", " "), _words(base)
+        of = (
+            quantity
+            for quantity, names in ALIASES.items()
+            if small in (quantity, *names)
+            or INITIALS.get(small) == quantity
+            or (quantity == "force" and small in LOADS)
+            or not words.isdisjoint({quantity, *filter(_is_word, names)})
+        )
+        if base and any(read_unit(unit, quantity) for quantity in of):
+            return base, unit
+    exact = ((base, unit) for base, unit, mark in parted if base and mark == "_" and is_exact(unit) and unit != SMALLEST)
+    return next(exact, None)
+
+
+def _is_word(name: str) -> bool:
+    """Whether a name of a quantity has enough letters to mean it among other words."""
+    return len(name) > len("ms")
 
 
 def stated_unit(name: str, quantity: str, units: Mapping[str, str]) -> str | None:

@@ -69,6 +69,9 @@ _WORD = re.compile(
 _SYMBOLS = {"sec": "s", "volt": "V", "amp": "A", "hertz": "Hz", "newton": "N", "met": "m"}
 _SPELT = {
     **dict.fromkeys(("gn", "g_n", "g0"), "g"),
+    **dict.fromkeys(("mps2", "mpss", "ms2"), "m/s2"),
+    **dict.fromkeys(("mmps2", "mms2"), "mm/s2"),
+    **{"mps": "m/s", "mmps": "mm/s"},
     **dict.fromkeys(("gram-force", "gram force", "g-f"), "gf"),
     **dict.fromkeys(("kilogram-force", "kilogram force", "kg-f", "kp"), "kgf"),
 }
@@ -208,6 +211,12 @@ def read_unit(unit: str, quantity: str) -> Unit | None:
 def is_unit(text: str) -> bool:
     """Whether a text is a unit of any quantity."""
     return any(read_unit(text, quantity) is not None for quantity in UNITS)
+
+
+def is_exact(text: str) -> bool:
+    """Whether a text is a unit of any quantity in its usual spelling, capital and small letters included."""
+    plain = _SPELT.get(_plain(text), _plain(text))
+    return any(plain in table for table in _EXACT.values())
 
 
 def remedy_of(unit: str) -> str:

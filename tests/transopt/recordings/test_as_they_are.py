@@ -8,7 +8,7 @@ import pytest
 from tests.benches.recording_files import DT_S, TAP_M_S2, TIMES_S, load, mat, npz, refusal, text, wav
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
-from transopt.files.names import stated_units
+from transopt.files.names import apart, stated_units
 
 IN_G = text(TIMES_S, TAP_M_S2 / G)
 QUOTED = "".join('"{}","{}"\n'.format(*row.replace(".", ";").split(",")) for row in IN_G.split()).replace(";", ",")
@@ -372,3 +372,34 @@ def test_a_channel_of_a_stereo_file(tmp_path: Path) -> None:
     stereo = wav(np.stack([np.zeros(200), TAP_M_S2 / 100], axis=1))
     recording = load(tmp_path, stereo, ".wav", full_scale_m_s2=100.0, channel=2)
     np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
+
+
+# ---- a unit at the end of any name ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "factor"),
+    [
+        *(("acc1_g", G), ("Acc 1 g", G), ("acc1 (g)", G), ("acc1 [g]", G), ("ai0_g", G), ("sensor_2_mg", 1e-3 * G)),
+        *(("acc1_mps2", 1.0), ("acc1_ms2", 1.0), ("ai0_m_s2", 1.0), ("acc1_mmps2", 1e-3), ("acc1_mm_s2", 1e-3)),
+    ],
+)
+def test_a_unit_at_the_end_is_the_unit_whatever_stands_before_it(tmp_path: Path, name: str, factor: float) -> None:
+    recording = load(tmp_path, f"time_s,{name}\n" + text(TIMES_S, TAP_M_S2 / factor))
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, rtol=1e-9, atol=1e-9)
+
+
+def test_of_two_sensors_one_is_chosen_and_keeps_its_unit(tmp_path: Path) -> None:
+    both = "time_s,acc1_g,acc2_g\n" + text(TIMES_S, TAP_M_S2 / G, 2 * TAP_M_S2 / G)
+    said = refusal(tmp_path, both)
+    assert "2 acceleration columns" in said
+    assert "--units" not in said
+    chosen = load(tmp_path, both, columns=["time_s", "-", "acc2_g"])
+    np.testing.assert_allclose(chosen.acceleration.values, 2 * TAP_M_S2, rtol=1e-9, atol=1e-9)
+    contradicted = load(tmp_path, both, columns=["time_s", "-", "acc2_g"], units={"acceleration": "m/s^2"})
+    assert any("the file's column is 'acc2_g', --units says m/s^2" in note for note in contradicted.notes)
+
+
+@pytest.mark.parametrize("name", ["Channel A", "Probe C", "acc_min", "n m"])
+def test_the_letter_of_a_channel_is_no_unit(name: str) -> None:
+    assert apart(name) == (name, None)
