@@ -11,6 +11,7 @@ from transopt.base.errors import InputError
 from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, RateHz, split_columns
 from transopt.cli.scene import ACCEPT_HELP
 
+FASTEST_M_S = 100.0  # of a tap, as in recordings
 if TYPE_CHECKING:
     from pydantic import ValidationError
 
@@ -35,6 +36,9 @@ def taps(
         typer.Option(help="How axes become one: main (the tap's direction, the default), x, y, z or dft321."),
     ] = "",
     speed: Annotated[float | None, typer.Option(help="Incoming speed where the files state none, in m/s.")] = None,
+    speeds: Annotated[
+        str, typer.Option(help="Speeds of the grid in m/s, 0.1,0.2,0.3; found in the taps if they are not stated.")
+    ] = "",
     grip: Annotated[float | None, typer.Option(help="Grip force where the files state none, in N.")] = None,
     trusted_from_Hz: Annotated[
         float, typer.Option(help="Cut-off of the accelerometer in Hz, 0.5 to 5 of IEPE; 0 if it reads gravity.")
@@ -80,6 +84,7 @@ def taps(
     from transopt.report import tried
     from transopt.report.taps import (
         cells_table,
+        grid_of,
         hints,
         implausible_lines,
         scene_lines,
@@ -119,9 +124,12 @@ def taps(
     console.print(taps_table(prepared))
     for note in shared_notes(prepared):
         console.print(f"of all {len(prepared)}: {note}")
-    cells = cells_table(prepared)
+    grid = grid_of(prepared, settings, _speeds(speeds))
+    cells = cells_table(prepared, grid)
     if cells is not None:
         console.print(cells)
+    if len(prepared) > len(grid.speeds_m_s) > 0 and not speeds:
+        console.print("speeds found in the taps: state others by --speeds, or edit speeds_m_s in [grid] of the scene")
     for hint in hints(prepared, settings):
         console.print(hint, style="yellow")
     if out is not None:
@@ -139,7 +147,7 @@ def taps(
         raise refusal  # a scene needs a speed
     if scene is not None:
         text = scene_path("own_taps").read_text(encoding="utf-8")
-        write_new(scene, scene_of_taps(text, prepared, files, settings, scene.parent), force=force)
+        write_new(scene, scene_of_taps(text, grid, files, settings, scene.parent), force=force)
         after = f"next: transopt solve {shlex.quote(str(scene))}"
         if refusal is not None:
             after = "solve refuses it until that is put right or accepted (--accept)"
@@ -147,9 +155,27 @@ def taps(
     else:
         console.print("\nLines for your scene, which this command begins:", style="bold")
         console.print("transopt scene new mine.toml --from own_taps\n")
-        typer.echo(scene_lines(prepared, files, settings))
+        typer.echo(scene_lines(grid, files, settings))
     if refusal is not None:
         raise refusal
+
+
+def _speeds(text: str) -> list[float]:
+    """The speeds of `--speeds` [m/s].
+
+    Raises
+    ------
+    InputError : one of them is no number above 0.
+    """
+    found = list[float]()
+    for each in filter(None, map(str.strip, text.split(","))):
+        try:
+            found.append(float(each))
+        except ValueError:
+            found.append(0.0)
+        if not 0 < found[-1] <= FASTEST_M_S:
+            raise InputError(f"--speeds {text}: {each!r}: must be above 0 and at most {FASTEST_M_S:g} m/s, as 0.1,0.2")
+    return found
 
 
 def _write_template(file: Path, *, force: bool) -> None:

@@ -6,23 +6,25 @@ import re
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.base.tables import Table
 from transopt.files.unclear import toml
 from transopt.recordings.approach import UNSEPARATED
 from transopt.recordings.settings import Recordings
 from transopt.recordings.speed import UNKNOWN
+from transopt.recordings.speed_groups import speed_groups
 from transopt.recordings.tap import PreparedTap
 from transopt.references.references import COST, grip_groups
 
 NO_GRAVITY_M_S2 = 0.5  # a smaller offset: the sensor is within 3 degrees of level, or reads no gravity
 MOST_LINES = 3  # lines of one kind; the files of a folder usually share a fault
 MOST_SPREAD = 2.0  # ratio of the peaks of taps of one speed: a hand's angle, grip and aim change less
-CLUSTER_WIDTH = 0.1  # relative width of a group of speeds; a tap may be scaled by 15 % to its grid speed
 
 
 def taps_table(taps: Sequence[PreparedTap]) -> Table:
@@ -72,20 +74,59 @@ def shared_notes(taps: Sequence[PreparedTap]) -> list[str]:
     return [note for note in taps[0].notes if all(note in tap.notes for tap in taps)] if len(taps) > 1 else []
 
 
-def cells_table(taps: Sequence[PreparedTap]) -> Table | None:
+class Grid(NamedTuple):
+    """Speeds and grips that suit a set of taps.
+
+    Attributes
+    ----------
+    speeds_m_s : increasing.
+    at : number of the speed of each tap; None for a tap that serves every speed, or of unknown speed.
+    grips_N : groups of the stated grips, increasing.
+    """
+
+    speeds_m_s: list[float]
+    at: list[int | None]
+    grips_N: list[list[float]]
+
+
+def grid_of(taps: Sequence[PreparedTap], settings: Recordings, speeds_m_s: Sequence[float] = ()) -> Grid:
+    """The grid of a scene of these taps.
+
+    Parameters
+    ----------
+    speeds_m_s : of the grid, as the user states them; empty to find them in the taps.
+
+    Raises
+    ------
+    InputError : a tap is too far from every stated speed.
+    """
+    known = [tap.speed_m_s for tap in taps if not np.isnan(tap.speed_m_s)]
+    speeds = sorted(speeds_m_s) or [_mean(group) for group in speed_groups(known, settings.speed_tolerance)]
+    at = [None if np.isnan(tap.speed_m_s) else _nearest(speeds, tap.speed_m_s) for tap in taps]
+    for tap, place in zip(taps, at, strict=True):
+        if speeds_m_s and place is not None and abs(speeds[place] / tap.speed_m_s - 1) > settings.speed_tolerance:
+            raise InputError(
+                f"--speeds {','.join(f'{speed:g}' for speed in speeds)}: {tap.recording.name} has "
+                f"{tap.speed_m_s:.3g} m/s, {abs(speeds[place] / tap.speed_m_s - 1):.0%} from the nearest of them, limit "
+                f"{settings.speed_tolerance:.0%}: add its speed, or leave the file out"
+            )
+    return Grid(speeds, at, grip_groups([tap.recording.grip_N for tap in taps if tap.recording.grip_N is not None]))
+
+
+def _nearest(speeds_m_s: Sequence[float], speed_m_s: float) -> int:
+    return min(range(len(speeds_m_s)), key=lambda place: abs(speeds_m_s[place] / speed_m_s - 1))
+
+
+def cells_table(taps: Sequence[PreparedTap], grid: Grid) -> Table | None:
     """Number of taps per speed and grip, and what replaces missing ones; None if no grip is stated."""
-    grips = grip_groups([tap.recording.grip_N for tap in taps if tap.recording.grip_N is not None])
-    speeds = _speed_groups([tap.speed_m_s for tap in taps if not np.isnan(tap.speed_m_s)])
-    if not (grips and speeds):
+    if not (grid.grips_N and grid.speeds_m_s):
         return None
-    counts = np.array(
-        [[sum(t.speed_m_s in v and t.recording.grip_N in F for t in taps) for F in grips] for v in speeds]
-    )
-    table = Table.of("taps by speed and grip", ["speed m/s", *(f"{_mean(group):g} N" for group in grips)])
-    for group, row in zip(speeds, counts, strict=True):
+    table = Table.of("taps by speed and grip", ["speed m/s", *(f"{_mean(group):g} N" for group in grid.grips_N)])
+    for place, speed in enumerate(grid.speeds_m_s):
+        own = [tap.recording.grip_N for tap, at in zip(taps, grid.at, strict=True) if at == place]
+        row = [sum(grip in group for grip in own) for group in grid.grips_N]
         known = np.flatnonzero(row)
-        filled = [_filled(n, j, known) for j, n in enumerate(row.tolist())]
-        table.add_row(f"{_mean(group):g}", *filled)
+        table.add_row(f"{speed:g}", *(_filled(n, j, known) for j, n in enumerate(row)))
     return table
 
 
@@ -112,15 +153,15 @@ def hints(taps: Sequence[PreparedTap], settings: Recordings) -> list[str]:
             "no recording has the offset that gravity makes. Records of transopt-play and level sensors have none; "
             "if the sensor is of the IEPE type it loses 3 to 22 % of a tap: state its cut-off, as --trusted-from-Hz 2"
         )
-    found += _uneven(taps)
+    found += _uneven(taps, settings)
     return found
 
 
-def _uneven(taps: Sequence[PreparedTap]) -> list[str]:
+def _uneven(taps: Sequence[PreparedTap], settings: Recordings) -> list[str]:
     """A sentence on each stated speed whose taps' peaks differ as those of one speed do not."""
     found = []
     stated = [tap for tap in taps if tap.recording.speed_m_s is not None]
-    for group in _speed_groups([tap.speed_m_s for tap in stated]):
+    for group in speed_groups([tap.speed_m_s for tap in stated], settings.speed_tolerance):
         peaks = {tap.recording.name: tap.peak_m_s2 for tap in stated if tap.speed_m_s in group}
         low, high = (choose(peaks, key=lambda name: peaks[name]) for choose in (min, max))
         if peaks[high] > MOST_SPREAD * peaks[low]:
@@ -147,23 +188,12 @@ def _speed_cell(tap: PreparedTap) -> str:
     return "?" if tap.speed_source == UNKNOWN else "any"
 
 
-def _speed_groups(speeds_m_s: Sequence[float]) -> list[list[float]]:
-    """Clusters of sorted speeds, each no wider than 10 %."""
-    clusters: list[list[float]] = []
-    for speed in sorted(speeds_m_s):
-        if clusters and speed <= clusters[-1][0] * (1 + CLUSTER_WIDTH):
-            clusters[-1].append(speed)
-        else:
-            clusters.append([speed])
-    return clusters
-
-
 def _mean(cluster: Sequence[float]) -> float:
     return float(f"{np.mean(cluster):.3g}")
 
 
 def _lines(
-    taps: Sequence[PreparedTap], paths: Sequence[Path], settings: Recordings, home: Path | None
+    found: Grid, paths: Sequence[Path], settings: Recordings, home: Path | None
 ) -> tuple[list[str], list[str]]:
     """TOML lines for the tables [grid] and [recordings] of a scene.
 
@@ -171,9 +201,8 @@ def _lines(
     ----------
     home : folder of the scene, to which the recordings' folder is relative; None makes it absolute.
     """
-    speeds = [_mean(c) for c in _speed_groups([tap.speed_m_s for tap in taps if not np.isnan(tap.speed_m_s)])]
-    grips = [_mean(c) for c in grip_groups([tap.recording.grip_N for tap in taps if tap.recording.grip_N])]
-    grid = [f"speeds_m_s = {speeds}", *([f"grips_N = {grips}"] if len(grips) > 1 else [])]
+    grips = [_mean(group) for group in found.grips_N if any(group)]
+    grid = [f"speeds_m_s = {found.speeds_m_s}", *([f"grips_N = {grips}"] if len(grips) > 1 else [])]
     stated = settings.model_dump(exclude_defaults=True, exclude={"folder", "files", "simulated"})
     folder = Path(os.path.commonpath([path.resolve().parent for path in paths]))
     files = [path.resolve().relative_to(folder).as_posix() for path in paths]
@@ -185,16 +214,16 @@ def _lines(
     return grid, [*lines, *(f"{key} = {toml(value)}" for key, value in stated.items())]
 
 
-def scene_lines(taps: Sequence[PreparedTap], paths: Sequence[Path], settings: Recordings) -> str:
-    """TOML lines for the tables [grid] and [recordings] of a scene: speeds that suit these taps, and the files."""
-    grid, recordings = _lines(taps, paths, settings, None)
+def scene_lines(found: Grid, paths: Sequence[Path], settings: Recordings) -> str:
+    """TOML lines for the tables [grid] and [recordings] of a scene: speeds that suit the taps, and the files."""
+    grid, recordings = _lines(found, paths, settings, None)
     replaced = "# in [recordings], in place of folder, files and simulated"
     keys = " and ".join(line.split(" = ")[0] for line in grid)
     return "\n".join([f"# in [grid], in place of {keys}", *grid, "", replaced, *recordings])
 
 
 def scene_of_taps(
-    template: str, taps: Sequence[PreparedTap], paths: Sequence[Path], settings: Recordings, home: Path
+    template: str, found: Grid, paths: Sequence[Path], settings: Recordings, home: Path
 ) -> str:
     """A complete scene file: these recordings on the device of a template.
 
@@ -203,7 +232,7 @@ def scene_of_taps(
     template : text of the built-in scene `own_taps`.
     home : folder in which the file will be.
     """
-    grid, recordings = ("\n".join(lines) for lines in _lines(taps, paths, settings, home))
+    grid, recordings = ("\n".join(lines) for lines in _lines(found, paths, settings, home))
     device = template[template.index("motor = ") :]
     if "grips_N" in grid:
         device = re.sub(r"(?m)^grips_N = .*\n", "", device)

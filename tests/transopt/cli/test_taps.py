@@ -75,6 +75,25 @@ class TestTaps:
         Path("pasted.toml").write_text(text)
         assert run("solve", "pasted.toml", "--no-figures").code == 0
 
+    def test_the_speeds_of_the_grid_are_found_or_stated(self, run: Run) -> None:
+        header = "time_s,acceleration_m_s2"
+        for number, speed in enumerate((0.181, 0.203, 0.225, 0.29, 0.3, 0.32)):
+            times_s = np.arange(-500, 1500) / 1e4
+            tap = 300 * speed * np.exp(-120 * times_s) * np.sin(1400 * times_s) * (times_s > 0)
+            rows = np.column_stack([times_s, 9.80665 + tap + 0.01 * np.sin(np.arange(2000) ** 2)])
+            remarks = f"# speed_m_s: {speed}\n# grip_N: 3\n{header}"
+            np.savetxt(f"t{number}.csv", rows, delimiter=",", header=remarks, comments="")
+        files = [f"t{number}.csv" for number in range(6)]
+        found = run("taps", *files)
+        assert found.code == 0, found.err
+        assert "speeds_m_s = [0.203, 0.303]" in found.out
+        assert "state others by --speeds" in found.out
+        stated = run("taps", *files, "--speeds", "0.2,0.3", "--scene", "mine.toml")
+        assert "speeds_m_s = [0.2, 0.3]" in Path("mine.toml").read_text()
+        assert "state others by --speeds" not in stated.out
+        assert_refused(run("taps", *files, "--speeds", "0.2"), "--speeds 0.2: t3.csv has 0.29 m/s, 31% from the nearest")
+        assert_refused(run("taps", *files, "--speeds", "0.2,fast"), "'fast': must be above 0 and at most 100 m/s")
+
     def test_a_scene_that_solves(self, run: Run) -> None:
         Path("rig").mkdir()
         for file in sorted(EXAMPLES.glob("*.csv"))[:2]:
