@@ -60,6 +60,7 @@ STEPS = np.concatenate([TIMES_S[:900], TIMES_S[903:]])
 LOST = "time_s,acc_g\n" + rows(STEPS, np.concatenate([IN_G[:900], IN_G[903:]]))
 JITTERED = TIMES_S + 0.37e-4 * np.where(np.arange(TIMES_S.size) % 2, 1, -1)
 POSITION = np.where(TIMES_S < 0.1, -SPEED_M_S * (TIMES_S - 0.1), 0.0)
+AHEAD = 3 * SPEED_M_S * (TIMES_S - 0.1)  # further into the object than the stylus came
 LATE = TIMES_S >= 0.0985
 COARSE = np.round(POSITION / 1e-4) * 1e-4
 THREE = np.concatenate([IN_G] * 3)
@@ -121,6 +122,22 @@ CASES = {
             "time_s,acc_g,position_m\n" + rows(TIMES_S[LATE], IN_G[LATE], COARSE[LATE]),
             "speed fitted to the position of the 1.5 ms before contact",
             mended="time_s,acc_g,position_m\n" + rows(TIMES_S, IN_G, POSITION),
+            options="",
+        ),
+    ],
+    "`by the acceleration the stylus stops short ..., by the position it runs ... ahead`": [
+        Refused(
+            "a.csv",
+            "time_s,acc_g,position_m\n" + rows(TIMES_S, IN_G, np.where(TIMES_S < 0.1, POSITION, -AHEAD)),
+            "by the acceleration the stylus stops short",
+            mended="time_s,acc_g,position_m\n" + rows(TIMES_S, IN_G, POSITION),
+            options="",
+        ),
+        Refused(
+            "a.csv",
+            "time_s,acc_g,position_m\n" + rows(TIMES_S, IN_G, np.where(TIMES_S < 0.1, POSITION, -AHEAD)),
+            "by the acceleration the stylus stops short",
+            lambda _: f"{SPEED} --columns time_s,acc_g,-",
             options="",
         ),
     ],

@@ -174,7 +174,9 @@ def _speeds(text: str) -> list[float]:
         except ValueError:
             found.append(0.0)
         if not 0 < found[-1] <= FASTEST_M_S:
-            raise InputError(f"--speeds {text}: {each!r}: must be above 0 and at most {FASTEST_M_S:g} m/s, as 0.1,0.2")
+            raise InputError(
+                f"--speeds {text}: {each!r}: must be above 0 and at most {FASTEST_M_S:g} m/s, as 0.1,0.2"
+            )
     return found
 
 

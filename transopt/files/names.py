@@ -341,7 +341,9 @@ def _unit_in_word(name: str) -> tuple[str, str] | None:
     Behind a quantity's name the unit is one of that quantity. Behind any other name it is spelt exactly and follows an
     underscore, because Channel A is no current.
     """
-    parted = [(name[:at].strip(" _"), name[at + 1 :].strip(), name[at]) for at in range(len(name)) if name[at] in "_ "]
+    parted = [
+        (name[:at].strip(" _"), name[at + 1 :].strip(), name[at]) for at in range(len(name)) if name[at] in "_ "
+    ]
     for base, unit, _ in parted:
         small, words = base.lower().replace("_", " "), _words(base)
         of = (
@@ -354,7 +356,9 @@ def _unit_in_word(name: str) -> tuple[str, str] | None:
         )
         if base and any(read_unit(unit, quantity) for quantity in of):
             return base, unit
-    exact = ((base, unit) for base, unit, mark in parted if base and mark == "_" and is_exact(unit) and unit != SMALLEST)
+    exact = (
+        (base, unit) for base, unit, mark in parted if base and mark == "_" and is_exact(unit) and unit != SMALLEST
+    )
     return next(exact, None)
 
 

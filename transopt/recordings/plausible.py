@@ -13,7 +13,7 @@ neither of which depends on the object that was struck:
   The taps of the built-in scenes have 0.78 (soft rubber, assisted by the hand) to 1.38 (metal), the shock-table
   impacts that these limits were tried on 1.1. g read as m/s^2 divides q by 9.81, m/s^2 read as g multiplies it.
 
-If the speed is unknown, only the height of the peak is checked. Wrong units of speed and acceleration that cancel in
+If the speed is unknown or only stated, the height of the low-passed peak is checked as well. Wrong units of speed and acceleration that cancel in
 q show in the speed itself, because the speed of a hand is bounded.
 """
 
@@ -27,7 +27,9 @@ from transopt.recordings.settings import Recordings
 
 PULSE_S = (30e-6, 0.1)  # length of the pulse at half its height
 SPEED_CHANGE = (0.25, 5.0)  # change of speed over the incoming speed
-THROWN_BACK = 2.0  # largest change of speed over the incoming speed on an object; above it the height is checked too
+THROWN_BACK = (
+    2.0  # largest change of speed over the incoming speed on an object; above it no speed vouches for the height
+)
 USUAL_SPEED_CHANGE = 1.2
 CHANGE_WITHIN_S = 0.05  # after contact; later the hand lifts the stylus
 PEAK_G = (0.3, 60.0)  # peaks of taps by hand; the built-in ones reach 19
@@ -84,19 +86,22 @@ def speed_changes_m_s(x: Signal, onset_s: float) -> tuple[float, float]:
     return float(change.max(initial=0.0)), float(-change.min(initial=0.0))
 
 
-def implausible_motion(x: Signal, onset_s: float, speed_m_s: float, settings: Recordings, *, fitted: bool) -> str:
+def implausible_motion(
+    x: Signal, peak_m_s2: float, onset_s: float, speed_m_s: float, settings: Recordings, *, fitted: bool
+) -> str:
     """Why acceleration and speed cannot belong to one tap, and which unit to check; empty if they can.
 
     Parameters
     ----------
     x : without offset, positive where the tap decelerates the stylus [m/s^2], in the recording's own time.
+    peak_m_s2 : of the low-passed acceleration.
     onset_s : time of contact.
     speed_m_s : incoming speed before any scaling; NaN if unknown.
     settings : the scene's settings, which may be the wrong part.
     fitted : whether the speed is fitted to a position, so that the position's unit is the one to check.
     """
     by_hand = (settings.time_scale, settings.amplitude_scale) == (1.0, 1.0)
-    height = _height(float(x.values.max()) / STANDARD_GRAVITY_M_S2) if by_hand else ""
+    height = _height(peak_m_s2 / STANDARD_GRAVITY_M_S2) if by_hand else ""
     if np.isnan(speed_m_s):
         return height
     up, down = speed_changes_m_s(x, onset_s)
@@ -108,7 +113,7 @@ def implausible_motion(x: Signal, onset_s: float, speed_m_s: float, settings: Re
                 f"the incoming speed is {speed_m_s:.3g} m/s, a hand's {HAND_M_S[0]:g} to {HAND_M_S[1]:g} m/s: check "
                 f"the unit {column}, and that of the acceleration, which agrees with it"
             )
-        return height if ratio > THROWN_BACK else ""
+        return height if ratio > THROWN_BACK or not fitted else ""
     times = f"{ratio:.0f}" if ratio >= 10 else f"{ratio:.2g}"
     found = (
         f"the pulse changes the speed by {up:.3g} m/s, {times} times the incoming {speed_m_s:.3g} m/s (limits "

@@ -86,7 +86,9 @@ def facing_out(recording: Recording, x: Signal, onset_s: float) -> tuple[Recordi
     return replace(recording, position=facing), [note]
 
 
-def _refuse_opposed(name: str, position: Signal, speed_m_s: float, error_m_s: float, x: Signal, onset_s: float) -> None:
+def _refuse_opposed(
+    name: str, position: Signal, speed_m_s: float, error_m_s: float, x: Signal, onset_s: float
+) -> None:
     """Refuse a position and an acceleration that cannot be of one tap.
 
     Over the time T after contact the acceleration moves the stylus by its double integral off the straight way with

@@ -26,6 +26,8 @@ from transopt.recordings.speed import FITTED, UNKNOWN, contradiction, facing_out
 from transopt.recordings.split import split, white_noises
 
 CLIPPED_RUN = 3  # samples; two equal ones may be chance
+ENTERED_COUNTS = 3.0  # steps of the resolution by which a signal enters or leaves its end stop
+ROUNDING = 1e-9  # of the largest value: two values that differ by less are one
 CLEAR_PEAK_TO_NOISE = 20.0  # below it noise alone may exceed the 30 % of the peak by which the onset is found
 USUAL_SPEEDS_M_S = (0.2, 0.1, 0.3, 0.05, 0.5)  # common speeds of a tapping hand
 
@@ -114,11 +116,11 @@ class PreparedTap:
     slow_part_known : whether the acceleration contains frequencies below those of the tap.
     polarity : 1, or -1 if the sensor was upside down.
     onset_s : contact in the recording's own time.
-    peak_m_s2 : peak of the low-passed acceleration.
+    peak_m_s2 : peak of the low-passed acceleration, as of the target.
     amplitude : similarity factor already applied to `acceleration`.
     clipped_samples : number of samples at the end of the sensor's range.
     notes : what a user should know about this recording, one sentence each.
-    implausible : why it cannot be a tap in the stated units; empty if it can be or was simulated.
+    implausible : why it cannot be a tap in the stated units, or is clipped; empty if neither, or if it was simulated.
     across : acceleration along two tangents, processed alike, relative to rest; empty for one direction.
     """
 
@@ -146,7 +148,8 @@ def _clipped(values: FloatArray, offset: float) -> int:
     """Number of samples in runs of at least `CLIPPED_RUN` that equal the largest or smallest value.
 
     An extreme counts only if it is at least half as far from the offset as the other; a constant baseline is not
-    clipped.
+    clipped. A run counts only if the signal enters or leaves it by more than `ENTERED_COUNTS` steps of its resolution:
+    the smooth top of a coarsely quantised pulse begins and ends by one or two.
     """
     count = 0
     extremes = float(values.min()), float(values.max())
@@ -155,11 +158,21 @@ def _clipped(values: FloatArray, offset: float) -> int:
         if abs(extreme - offset) < 0.5 * reach:
             continue
         at_stop = values == extreme
-        if np.count_nonzero(at_stop) >= CLIPPED_RUN:
-            edges = np.flatnonzero(np.diff(np.concatenate([[False], at_stop, [False]])))
-            runs = edges[1::2] - edges[::2]
-            count += int(runs[runs >= CLIPPED_RUN].sum())
+        if np.count_nonzero(at_stop) < CLIPPED_RUN:
+            continue
+        beside = np.concatenate([[extreme], values, [extreme]])
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], at_stop, [False]])))
+        begins, ends = edges[::2], edges[1::2]
+        away = np.maximum(np.abs(beside[begins] - extreme), np.abs(beside[ends + 1] - extreme))
+        runs = (ends - begins)[away > ENTERED_COUNTS * _resolution(values)]
+        count += int(runs[runs >= CLIPPED_RUN].sum())
     return count
+
+
+def _resolution(values: FloatArray) -> float:
+    """Smallest difference between two values."""
+    steps = np.diff(np.unique(values))
+    return float(steps[steps > ROUNDING * np.abs(values).max()].min(initial=np.inf))
 
 
 def _doubts(raw: Signal, speed_m_s: float, peak_m_s2: float, noise_m_s2: float) -> list[str]:
@@ -175,13 +188,13 @@ def _doubts(raw: Signal, speed_m_s: float, peak_m_s2: float, noise_m_s2: float) 
 
 
 def _speed(
-    recording: Recording, x: Signal, onset_s: float, settings: Recordings, *, is_level_known: bool
+    recording: Recording, x: Signal, smooth: Signal, onset_s: float, settings: Recordings, *, is_level_known: bool
 ) -> tuple[float, str, str, list[str]]:
     """Incoming speed [m/s] before any scaling and its source, why the recording cannot be a tap, and notes.
 
     Parameters
     ----------
-    x : without offset, positive where the tap decelerates the stylus.
+    x, smooth : without offset, positive where the tap decelerates the stylus; as recorded and low-passed.
     is_level_known : whether the offset is known, so that gravity is not in `x`.
 
     Raises
@@ -199,7 +212,8 @@ def _speed(
         # If no baseline gave the offset, the signal contains gravity, which the median removes.
         gravity = 0.0 if is_level_known else median(x.values)
         freed = replace(x, values=x.values - gravity)
-        doubtful = implausible_motion(freed, onset_s, speed, settings, fitted=source == FITTED)
+        peak = float(smooth.values.max()) - gravity
+        doubtful = implausible_motion(freed, peak, onset_s, speed, settings, fitted=source == FITTED)
         notes = [*notes, *filter(None, [contradiction(recording, onset_s)])]
     return speed, source, doubtful, notes
 
@@ -287,16 +301,16 @@ def _prepared(
         smooth = lowpass(came.acceleration, stretch * settings.lowpass_Hz)
     offset = up.offset_m_s2 - up.polarity * came.offset_error_m_s2
     incoming, source, doubtful, unsure = _speed(
-        recording, came.acceleration, onset, settings, is_level_known=up.is_level_known
+        recording, came.acceleration, smooth, onset, settings, is_level_known=up.is_level_known
     )
     factor, speed, source = _scaling(incoming, source, settings)
     filtered = Signal((raw.start_s - onset) * stretch, raw.dt_s * stretch, factor * smooth.values)
-    peak = float(np.abs(came.acceleration.values if np.isnan(speed) else filtered.values).max())
+    peak = float(np.abs(smooth.values if np.isnan(factor) else filtered.values).max())
     pulled, hit = _hand_after_contact(recording, filtered, onset, settings)
     clipped = _clipped(raw.values, offset)
-    stop = f"{clipped} samples at the end stop: the true peak is higher; use a sensor of larger range"
+    stop = f"{clipped} samples at the end stop: the true peak is higher; use a sensor of larger range" * (clipped > 0)
     doubts = _doubts(raw, speed, peak, noise if np.isnan(speed) else factor * noise)
-    notes = (*up.notes, *found, *turned, *came.notes, pulled, *unsure, stop if clipped else "", hit, *doubts)
+    notes = (*up.notes, *found, *turned, *came.notes, pulled, *unsure, stop, hit, *doubts)
     return PreparedTap(
         recording=recording,
         acceleration=filtered,
@@ -312,7 +326,7 @@ def _prepared(
         amplitude=factor,
         clipped_samples=clipped,
         notes=(*recording.notes, *filter(None, notes)),
-        implausible=doubtful,
+        implausible=doubtful or ("" if settings.simulated else f"clipped, {stop}" * (clipped > 0)),
         across=_across(recording, settings, onset, up.polarity, factor),
     )
 
@@ -353,7 +367,7 @@ def check_speed(tap: PreparedTap) -> None:
 
 
 def check_usable(tap: PreparedTap, settings: Recordings) -> None:
-    """Refuse a tap unfit for a library: of unknown speed, or implausible unless the settings accept that.
+    """Refuse a tap unfit for a library: of unknown speed, or implausible or clipped unless the settings accept that.
 
     Raises
     ------

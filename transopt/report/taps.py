@@ -222,9 +222,7 @@ def scene_lines(found: Grid, paths: Sequence[Path], settings: Recordings) -> str
     return "\n".join([f"# in [grid], in place of {keys}", *grid, "", replaced, *recordings])
 
 
-def scene_of_taps(
-    template: str, found: Grid, paths: Sequence[Path], settings: Recordings, home: Path
-) -> str:
+def scene_of_taps(template: str, found: Grid, paths: Sequence[Path], settings: Recordings, home: Path) -> str:
     """A complete scene file: these recordings on the device of a template.
 
     Parameters

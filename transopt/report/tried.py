@@ -162,6 +162,8 @@ def doubt(found: Taps) -> UnclearError | None:
         except UnclearError as error:
             return error
         return None
+    if odd.implausible.startswith("clipped"):  # whatever the units are
+        return UnclearError(odd.implausible, [{"implausible": "accept"}], Path(odd.recording.source))
     # The key under which the user states the unit of a quantity, or the quantity itself.
     stated = {
         of: next((pair for pair in settings.units.items() if read_unit(pair[1], of)), (of, "")) for of in MISTAKEN

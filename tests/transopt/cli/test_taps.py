@@ -91,7 +91,9 @@ class TestTaps:
         stated = run("taps", *files, "--speeds", "0.2,0.3", "--scene", "mine.toml")
         assert "speeds_m_s = [0.2, 0.3]" in Path("mine.toml").read_text()
         assert "state others by --speeds" not in stated.out
-        assert_refused(run("taps", *files, "--speeds", "0.2"), "--speeds 0.2: t3.csv has 0.29 m/s, 31% from the nearest")
+        assert_refused(
+            run("taps", *files, "--speeds", "0.2"), "--speeds 0.2: t3.csv has 0.29 m/s, 31% from the nearest"
+        )
         assert_refused(run("taps", *files, "--speeds", "0.2,fast"), "'fast': must be above 0 and at most 100 m/s")
 
     def test_a_scene_that_solves(self, run: Run) -> None:

@@ -11,7 +11,7 @@ from transopt.base.signals import Signal, integral
 from transopt.recordings.onset import find_onsets
 from transopt.recordings.recording import Recording
 from transopt.recordings.settings import Recordings
-from transopt.recordings.tap import prepare, prepare_all, read_recordings
+from transopt.recordings.tap import check_usable, prepare, prepare_all, read_recordings
 from transopt.references.references import assign
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
@@ -106,7 +106,9 @@ class TestPrepare:
         t, z = recording.position.times_s, recording.position.values
         ahead = np.where(t > 0, -SPEED_M_S * t - (z + SPEED_M_S * t), z)
         opposed = replace(recording, position=replace(recording.position, values=sign * ahead))
-        with pytest.raises(InputError, match=r"tap: by the acceleration the stylus stops short by 1?\d\S* mm .* ahead"):
+        with pytest.raises(
+            InputError, match=r"tap: by the acceleration the stylus stops short by 1?\d\S* mm .* ahead"
+        ):
             prepare(opposed, SETTINGS)
 
     def test_a_position_at_rest_tells_no_direction(self) -> None:
@@ -115,6 +117,38 @@ class TestPrepare:
         still = replace(recording.position, values=1e-9 * np.sin(np.arange(recording.position.values.size) ** 2.0))
         with pytest.raises(InputError, match="speed fitted to the position"):
             prepare(replace(recording, position=still), SETTINGS)
+
+    def test_a_clipped_tap_is_refused_unless_it_is_accepted(self) -> None:
+        recording = pulse()
+        cut = replace(recording.acceleration, values=np.minimum(recording.acceleration.values, 30.0))
+        clipped = replace(recording, acceleration=cut)
+        tap = prepare(clipped, SETTINGS)
+        with pytest.raises(InputError, match=r"clipped, \d+ samples at the end stop: the true peak is higher"):
+            check_usable(tap, SETTINGS)
+        check_usable(tap, SETTINGS.model_copy(update={"implausible": "accept"}))
+        check_usable(prepare(recording, SETTINGS), SETTINGS)
+
+    @pytest.mark.parametrize("counts", [8, 20, 100])
+    def test_the_top_of_a_coarsely_quantised_pulse_is_not_clipped(self, counts: int) -> None:
+        """An oscilloscope of 8 bits repeats the largest value of a pulse several times."""
+        fine = pulse(rate_Hz=200e3)
+        count = float(fine.acceleration.values.max()) / counts
+        coarse = replace(fine.acceleration, values=np.round(fine.acceleration.values / count) * count)
+        assert np.count_nonzero(coarse.values == coarse.values.max()) >= 3
+        assert prepare(replace(fine, acceleration=coarse), SETTINGS).clipped_samples == 0
+
+    def test_the_peak_is_that_of_the_target_whether_the_speed_is_known_or_not(self) -> None:
+        known, unknown = (prepare(pulse(speed=speed), SETTINGS) for speed in (0.2, None))
+        assert known.peak_m_s2 == pytest.approx(float(np.abs(known.acceleration.values).max()), rel=1e-12)
+        assert unknown.peak_m_s2 == pytest.approx(known.peak_m_s2, rel=1e-12)
+
+    def test_a_stated_speed_does_not_vouch_for_a_peak_that_no_hand_makes(self) -> None:
+        """A hard shock has the speed change that its stated speed suggests; only a fitted speed tells."""
+        hard = pulse()
+        high = replace(hard.acceleration, values=1000 / hard.acceleration.values.max() * hard.acceleration.values)
+        for speed in (None, 0.6, 1.0, 2.0):
+            tap = prepare(replace(hard, acceleration=high, speed_m_s=speed), SETTINGS)
+            assert "g, a tap's by hand 0.3 to 60 g" in tap.implausible
 
     def test_clipping_is_counted(self) -> None:
         recording = pulse()
