@@ -89,6 +89,12 @@ def _unknown(names: Sequence[str], words: Vocabulary, seen: Seen) -> InputError:
     A frequency response leaves no question open: it is no record over time, however its columns are read.
     """
     unknown = [name for name in names if name != SKIPPED and words.quantity_of(name) is None]
+    response = next((name for name in unknown if is_frequency(name)), None)
+    if response is not None and "frequency" not in words.quantities:
+        raise InputError(
+            f"column {quote(response)}: a frequency response, no signal over time; a plant is fitted to it by "
+            "`transopt plant fit`"
+        )
     electrical = {base: unit for base, unit in map(apart, unknown) if unit and is_electrical(unit)}
     acceleration = "acceleration" in words.quantities
     if electrical and acceleration:

@@ -69,11 +69,12 @@ ALIASES: Mapping[str, tuple[str, ...]] = {
     ),
     "acceleration": (*STEMS[:-2], "beschleunigung", *AXES),
     "velocity": ("vel", "geschwindigkeit"),
-    "position": ("pos", "displacement", "z"),
+    "position": ("pos", "displacement", "travel", "z", "weg", "auslenkung", "verschiebung"),
     "force": ("f", "hammer", "kraft"),
+    "grip": ("grip force", "grasp", "grasp force", "griff", "griffkraft"),
     "current": ("i", "strom"),
     "command": ("cmd",),
-    "voltage": ("u", "v"),
+    "voltage": ("u", "v", "spannung"),
     **dict.fromkeys(("winding", "housing", "ambient"), ()),
     "frequency": ("freq", "f", "frequenz"),
     "magnitude": ("mag", "abs", "amplitude", "gain", "betrag", "accelerance"),
@@ -139,7 +140,8 @@ class Vocabulary:
 
     def knowing(self, units: Mapping[str, str]) -> "Vocabulary":
         """This vocabulary with the user's own names whose stated unit fits one quantity only."""
-        own = {name: [of for of in self.quantities if read_unit(unit, of)] for name, unit in units.items()}
+        by_unit = [of for of in self.quantities if of != "grip"]  # a column in N is a force unless its name says grip
+        own = {name: [of for of in by_unit if read_unit(unit, of)] for name, unit in units.items()}
         # A unit of a response is that of its magnitude; `formats` splits a complex array into real and imaginary
         # part.
         clear = {name: of[0] for name, of in own.items() if len(of) == 1 or (of and set(of) <= set(RATIOS))}
@@ -247,6 +249,12 @@ def is_weighed(name: str) -> bool:
     return unit in ("g", "mg") and not WEIGHED.isdisjoint(found) and found.isdisjoint(STEMS)
 
 
+def is_frequency(name: str) -> bool:
+    """Whether a column holds frequencies: by its name, and by its unit if it has one."""
+    base, unit = apart(name)
+    return _small(base) in ("frequency", "freq", "frequenz") and (not unit or read_unit(unit, "frequency") is not None)
+
+
 def stated_units(text: str) -> dict[str, str]:
     """Units from a command line, `time=ms,acc=g`, by name of the column or quantity.
 
@@ -336,14 +344,13 @@ def apart(name: str) -> tuple[str, str | None]:
 
 
 def _unit_in_word(name: str) -> tuple[str, str] | None:
-    """What stands before a unit at the end of a name, and the unit, as in acc_g, acc1 g or ai0_mps2; None without one.
+    """The beginning of a name and the unit at its end, as in acc_g, acc1 g or ai0_mps2; None without a unit.
 
-    Behind a quantity's name the unit is one of that quantity. Behind any other name it is spelt exactly and follows an
-    underscore, because Channel A is no current.
+    Behind a quantity's name the unit is one of that quantity. Behind any other name it is spelt exactly and follows
+    an underscore, because Channel A is no current.
     """
-    parted = [
-        (name[:at].strip(" _"), name[at + 1 :].strip(), name[at]) for at in range(len(name)) if name[at] in "_ "
-    ]
+    marks = [at for at, mark in enumerate(name) if mark in "_ "]
+    parted = [(name[:at].strip(" _"), name[at + 1 :].strip(), name[at]) for at in marks]
     for base, unit, _ in parted:
         small, words = base.lower().replace("_", " "), _words(base)
         of = (
@@ -356,10 +363,8 @@ def _unit_in_word(name: str) -> tuple[str, str] | None:
         )
         if base and any(read_unit(unit, quantity) for quantity in of):
             return base, unit
-    exact = (
-        (base, unit) for base, unit, mark in parted if base and mark == "_" and is_exact(unit) and unit != SMALLEST
-    )
-    return next(exact, None)
+    behind = ((base, unit) for base, unit, mark in parted if base and mark == "_" and unit != SMALLEST)
+    return next(((base, unit) for base, unit in behind if is_exact(unit)), None)
 
 
 def _is_word(name: str) -> bool:

@@ -34,6 +34,7 @@ _STEP = (
 )
 _STATED = {of: re.compile(names + _VALUE, re.IGNORECASE) for of, names in (("frequency", _RATE), ("time", _STEP))}
 _START = re.compile(r"(?:t?start|x[ _]?0|t[ _]?0)\w* *[:=] *([-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?)", re.IGNORECASE)
+_NUMBER = re.compile(r"[-+]?[.,]?\d")
 _GROUPED = re.compile(r"\d{1,3},\d{3}")
 _SAMPLES = re.compile(r"sp?s|sa?/s|", re.IGNORECASE)  # samples per second, or nothing after a k
 
@@ -50,9 +51,16 @@ def stated_in(line: str, words: Vocabulary) -> dict[str, str]:
     if not (found and mark) or (is_remark and mark.strip()[:1] not in (":", "=")):
         return {}
     key, value = found["name"], found["value"].rstrip(";, \t")
-    if not (key in words.header or (is_remark and words.is_meant(key))):
+    is_meant = words.is_meant(key) or _is_scalar(key, value, words)
+    if not (key in words.header or (is_remark and is_meant)):
         return {}
     return {key: value.replace(",", ".") if DECIMAL_COMMA.fullmatch(value) else value}
+
+
+def _is_scalar(key: str, value: str, words: Vocabulary) -> bool:
+    """Whether a remark must mean a scalar that goes by another name: `grip: 3` or `grip_kg: 0.3`."""
+    first = key.lower().partition("_")[0]
+    return first in {scalar.quantity for scalar in words.header.values()} and bool(_NUMBER.match(value))
 
 
 def described(names: Sequence[str], width: int, notes: Sequence[str]) -> list[str]:

@@ -17,6 +17,10 @@ from transopt.base.signals import STANDARD_GRAVITY_M_S2
 LEVEL = math.nan
 INPUTS: Mapping[str, str] = {"current": "A", "voltage": "V"}  # quantity that may drive an actuator -> its SI unit
 _CURRENT = {"A": 1.0, "mA": 1e-3, "uA": 1e-6}
+_FORCE = {
+    **{"N": 1.0, "mN": 1e-3, "kN": 1e3},
+    **{"gf": 1e-3 * STANDARD_GRAVITY_M_S2, "kgf": STANDARD_GRAVITY_M_S2},  # weights of a gram and a kilogram
+}
 _TEMPERATURE = {"C": 1.0, "degC": 1.0, "°C": 1.0}
 # Quantity -> unit -> factor to SI; `_plain` maps other spellings to these.
 UNITS: Mapping[str, Mapping[str, float]] = {
@@ -34,10 +38,8 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     },
     "velocity": {"m/s": 1.0, "mm/s": 1e-3, "um/s": 1e-6},
     "position": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6},
-    "force": {
-        **{"N": 1.0, "mN": 1e-3, "kN": 1e3},
-        **{"gf": 1e-3 * STANDARD_GRAVITY_M_S2, "kgf": STANDARD_GRAVITY_M_S2},  # weights of a gram and a kilogram
-    },
+    "force": _FORCE,
+    "grip": _FORCE,
     "current": _CURRENT,
     "command": _CURRENT,
     "voltage": {"V": 1.0, "mV": 1e-3, "uV": 1e-6},

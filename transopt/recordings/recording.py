@@ -22,7 +22,7 @@ VOCABULARY = Vocabulary(
         *("acceleration_m_s2", "acceleration_g"),
         "velocity_m_s",  # from a vibrometer; its derivative is the acceleration
         *("position_m", "position_mm"),
-        *("force_N", "current_A"),
+        *("force_N", "grip_N", "current_A"),
         "command_A",  # recorded by the simulator; a tap on a real object has no command
     ),
     header={
@@ -49,6 +49,7 @@ class Recording:
     acceleration : [m/s^2].
     position : along the surface normal, positive out of the object [m].
     force : surface force [N].
+    grip : force of the hand on the stylus; its mean before contact is the grip force of a tap that states none [N].
     current : motor current [A].
     across_1, across_2 : acceleration along two tangents, if all directions are asked for [m/s^2].
     speed_m_s : incoming speed if the recording states it, > 0.
@@ -66,6 +67,7 @@ class Recording:
     acceleration: Signal
     position: Signal | None = None
     force: Signal | None = None
+    grip: Signal | None = None
     current: Signal | None = None
     across_1: Signal | None = None
     across_2: Signal | None = None

@@ -110,16 +110,22 @@ def _refuse_opposed(
         )
 
 
+def seen_speed(recording: Recording, onset_s: float) -> tuple[float, float] | None:
+    """Speed that the position shows and half its 95 % interval [m/s]; None if it is not known within 20 %."""
+    position = recording.position
+    if position is None or (z := _before_contact(position, onset_s)).size < LEAST_SAMPLES:
+        return None
+    speed, error = _fitted_speed(position, onset_s, z)
+    return None if error > UNKNOWN_SPEED * abs(speed) else (speed, error)
+
+
 def contradiction(recording: Recording, onset_s: float) -> str:
     """Note that the position contradicts the stated speed; empty if it agrees, or cannot tell."""
-    stated, position = recording.speed_m_s, recording.position
-    if stated is None or position is None:
+    stated, seen = recording.speed_m_s, seen_speed(recording, onset_s)
+    if stated is None or seen is None:
         return ""
-    z = _before_contact(position, onset_s)
-    if z.size < LEAST_SAMPLES:
-        return ""
-    speed, error = _fitted_speed(position, onset_s, z)
-    if abs(speed - stated) <= error + CONTRADICTED * stated or error > UNKNOWN_SPEED * abs(speed):
+    speed, error = seen
+    if abs(speed - stated) <= error + CONTRADICTED * stated:
         return ""
     return (
         f"the position before contact has {speed:.3g} +- {error:.2g} m/s, stated are {stated:.3g} m/s: check which "

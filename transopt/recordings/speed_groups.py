@@ -38,7 +38,7 @@ def _within(speeds: FloatArray, tolerance: float) -> bool:
 
 
 def _clear_cut(speeds: FloatArray, tolerance: float) -> list[int]:
-    """Where the finest clear-cut division of sorted speeds cuts; empty if there is none."""
+    """Cuts of the finest clear-cut division of sorted speeds; empty if there is none."""
     gaps = np.diff(np.log(speeds))
     widest = np.argsort(-gaps, kind="stable")
     for cuts in range(int(np.count_nonzero(gaps >= np.log1p(LEAST_GAP))), 0, -1):
@@ -52,7 +52,7 @@ def _clear_cut(speeds: FloatArray, tolerance: float) -> list[int]:
 
 
 def _fewest(speeds: FloatArray, tolerance: float) -> list[int]:
-    """Where the division of sorted speeds into the fewest groups within the tolerance cuts, that of least scatter."""
+    """Cuts of the division of sorted speeds into the fewest groups within the tolerance, that of least scatter."""
     logs = np.log(speeds)
     sums, squares = (np.concatenate([[0.0], np.cumsum(each)]) for each in (logs, logs**2))
     totals = np.concatenate([[0.0], np.cumsum(speeds)])

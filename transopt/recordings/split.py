@@ -24,7 +24,7 @@ NORMAL_QUARTILE = 0.6744897501960817  # median of |x| of normally distributed x,
 START_S = 2e-3
 TAPS_AT_ONCE = 32  # taps that are examined together: their samples fit into the processor's cache
 SLOWEST_HZ = 8.0  # below it the hand moves, and turns the sensor in the earth's field
-SIGNALS = ("acceleration", "position", "force", "current", "across_1", "across_2")  # all are cut alike
+SIGNALS = ("acceleration", "position", "force", "grip", "current", "across_1", "across_2")  # all are cut alike
 
 
 def bounds(x: Signal) -> list[tuple[int, int]]:

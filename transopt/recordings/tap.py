@@ -15,12 +15,14 @@ from transopt.base.filters import lowpass, lowpass_all
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray, Signal, median
 from transopt.base.sizes import MOST_FILES
-from transopt.files.unclear import UnclearError
+from transopt.files.names import apart
+from transopt.files.unclear import Answer, UnclearError
+from transopt.files.units import read_unit
 from transopt.recordings.after_contact import pulled_back_after_s, second_hit
 from transopt.recordings.approach import GUARD_S, find_approach
 from transopt.recordings.onset import Upright, contact, onsets_of, rises, uprights
 from transopt.recordings.plausible import HAND_M_S, implausible_motion, implausible_time
-from transopt.recordings.recording import Recording, load_recording
+from transopt.recordings.recording import VOCABULARY, Recording, load_recording
 from transopt.recordings.settings import Recordings
 from transopt.recordings.speed import FITTED, UNKNOWN, contradiction, facing_out, incoming_speed
 from transopt.recordings.split import split, white_noises
@@ -28,6 +30,7 @@ from transopt.recordings.split import split, white_noises
 CLIPPED_RUN = 3  # samples; two equal ones may be chance
 ENTERED_COUNTS = 3.0  # steps of the resolution by which a signal enters or leaves its end stop
 ROUNDING = 1e-9  # of the largest value: two values that differ by less are one
+GRIPPED_S = 50e-3  # before contact: time over which the grip is averaged
 CLEAR_PEAK_TO_NOISE = 20.0  # below it noise alone may exceed the 30 % of the peak by which the onset is found
 USUAL_SPEEDS_M_S = (0.2, 0.1, 0.3, 0.05, 0.5)  # common speeds of a tapping hand
 
@@ -86,7 +89,8 @@ def read_recordings(settings: Recordings) -> list[Recording]:
         )
         for recording in [whole] if entire else split(whole, settings.taps_by_file):
             stated = settings.speed_m_s if recording.speed_m_s is None else recording.speed_m_s
-            grip = settings.grip_N if recording.grip_N is None else recording.grip_N
+            measured = recording.grip_N is not None or recording.grip is not None
+            grip = recording.grip_N if measured else settings.grip_N
             speed = by_file.get(recording.name, by_file.get(path.name, stated))
             notes = recording.notes
             if recording.name != path.name and speed is not None and recording.name not in by_file:
@@ -148,8 +152,8 @@ def _clipped(values: FloatArray, offset: float) -> int:
     """Number of samples in runs of at least `CLIPPED_RUN` that equal the largest or smallest value.
 
     An extreme counts only if it is at least half as far from the offset as the other; a constant baseline is not
-    clipped. A run counts only if the signal enters or leaves it by more than `ENTERED_COUNTS` steps of its resolution:
-    the smooth top of a coarsely quantised pulse begins and ends by one or two.
+    clipped. A run counts only if the signal enters or leaves it by more than `ENTERED_COUNTS` steps of its
+    resolution. The smooth top of a coarsely quantised pulse begins and ends by one or two.
     """
     count = 0
     extremes = float(values.min()), float(values.max())
@@ -233,6 +237,21 @@ def _scaling(speed_m_s: float, source: str, settings: Recordings) -> tuple[float
     return factor, speed_m_s * stretch * factor, f"{source}, similarity-scaled" if is_scaled else source
 
 
+def _gripped(recording: Recording, onset_s: float) -> tuple[Recording, list[str]]:
+    """The recording with the grip force that its column shows before contact, and a note on it.
+
+    A load cell may count pressure as negative, so the grip is the magnitude of the mean.
+    """
+    if recording.grip is None or recording.grip_N is not None:
+        return recording, []
+    held = recording.grip.values[recording.grip.until(onset_s - GRIPPED_S) : recording.grip.before(onset_s - GUARD_S)]
+    if held.size == 0:
+        return recording, ["the grip column has no sample before contact: the grip is not known from it"]
+    grip_N = float(f"{abs(float(held.mean())):.4g}")
+    note = f"the grip of {grip_N:g} N is the mean of its column in the {1e3 * GRIPPED_S:.0f} ms before contact"
+    return replace(recording, grip_N=grip_N), [note]
+
+
 def _hand_after_contact(recording: Recording, tap: Signal, onset_s: float, settings: Recordings) -> tuple[str, str]:
     """Notes on a hand that pulls back, and on a second hit; empty where there is none.
 
@@ -295,6 +314,7 @@ def _prepared(
 ) -> PreparedTap:
     raw, stretch, (onset, found) = recording.acceleration, settings.time_scale, touched
     recording, turned = facing_out(recording, up.signal, onset)
+    recording, gripped = _gripped(recording, onset)
     is_stated = settings.offset_m_s2 != "baseline"
     came = find_approach(up.signal, recording.position, onset, noise, settings.trusted_from_Hz, stated=is_stated)
     if came.acceleration is not up.signal:
@@ -310,7 +330,7 @@ def _prepared(
     clipped = _clipped(raw.values, offset)
     stop = f"{clipped} samples at the end stop: the true peak is higher; use a sensor of larger range" * (clipped > 0)
     doubts = _doubts(raw, speed, peak, noise if np.isnan(speed) else factor * noise)
-    notes = (*up.notes, *found, *turned, *came.notes, pulled, *unsure, stop, hit, *doubts)
+    notes = (*up.notes, *found, *turned, *gripped, *came.notes, pulled, *unsure, stop, hit, *doubts)
     return PreparedTap(
         recording=recording,
         acceleration=filtered,
@@ -349,6 +369,15 @@ def _across(
     return tuple(found)
 
 
+def _possible_positions(file: Path) -> list[Answer]:
+    """Units that make a position of a column whose name means nothing, as answers to a question."""
+    # Imported here, since simulated taps have no files.
+    from transopt.files.formats import columns_of
+
+    unused = [apart(name) for name in columns_of(file, VOCABULARY) if VOCABULARY.quantity_of(name) is None]
+    return [{"units": {base: unit}} for base, unit in unused if unit and read_unit(unit, "position")]
+
+
 def check_speed(tap: PreparedTap) -> None:
     """Refuse a tap of unknown speed.
 
@@ -360,8 +389,8 @@ def check_speed(tap: PreparedTap) -> None:
         name = tap.recording.name
         raise UnclearError(
             "no incoming speed: the file neither states it (`# speed_m_s: ...`) nor has a position_m column, and no "
-            f'scene does, recordings.speed_by_file_m_s = {{ "{name}" = 0.2 }}',
-            [{"speed_m_s": speed} for speed in USUAL_SPEEDS_M_S],
+            f'scene does, recordings.speed_by_file_m_s = {{ "{name}" = 0.2 }}; a tap changes it by 1 to 2 times',
+            [*_possible_positions(Path(tap.recording.source)), *({"speed_m_s": v} for v in USUAL_SPEEDS_M_S)],
             Path(tap.recording.source),
         )
 

@@ -17,7 +17,7 @@ from transopt.base.tables import Table
 from transopt.files.unclear import toml
 from transopt.recordings.approach import UNSEPARATED
 from transopt.recordings.settings import Recordings
-from transopt.recordings.speed import UNKNOWN
+from transopt.recordings.speed import UNKNOWN, seen_speed
 from transopt.recordings.speed_groups import speed_groups
 from transopt.recordings.tap import PreparedTap
 from transopt.references.references import COST, grip_groups
@@ -107,8 +107,8 @@ def grid_of(taps: Sequence[PreparedTap], settings: Recordings, speeds_m_s: Seque
         if speeds_m_s and place is not None and abs(speeds[place] / tap.speed_m_s - 1) > settings.speed_tolerance:
             raise InputError(
                 f"--speeds {','.join(f'{speed:g}' for speed in speeds)}: {tap.recording.name} has "
-                f"{tap.speed_m_s:.3g} m/s, {abs(speeds[place] / tap.speed_m_s - 1):.0%} from the nearest of them, limit "
-                f"{settings.speed_tolerance:.0%}: add its speed, or leave the file out"
+                f"{tap.speed_m_s:.3g} m/s, {abs(speeds[place] / tap.speed_m_s - 1):.0%} from the nearest of them, "
+                f"limit {settings.speed_tolerance:.0%}: add its speed, or leave the file out"
             )
     return Grid(speeds, at, grip_groups([tap.recording.grip_N for tap in taps if tap.recording.grip_N is not None]))
 
@@ -166,11 +166,14 @@ def _uneven(taps: Sequence[PreparedTap], settings: Recordings) -> list[str]:
         low, high = (choose(peaks, key=lambda name: peaks[name]) for choose in (min, max))
         if peaks[high] > MOST_SPREAD * peaks[low]:
             spread = " to ".join(f"{peaks[name] / STANDARD_GRAVITY_M_S2:.3g} g ({name})" for name in (low, high))
-            slower = f"{{ {json.dumps(low)} = {_mean(group) * peaks[low] / peaks[high]:.2g} }}"
+            seen = next(seen_speed(tap.recording, tap.onset_s) for tap in stated if tap.recording.name == low)
+            speed = seen[0] if seen else _mean(group) * peaks[low] / peaks[high]
+            slower = f"{{ {json.dumps(low)} = {speed:.2g} }}"
+            fitted = ", or leave the speed out where a position tells it" * (seen is not None)
             found.append(
                 f"{len(peaks)} taps are stated to come at {_mean(group):g} m/s, with peaks of {spread}: taps of one "
                 "speed differ less, and a peak grows with the speed; state the speed of each in the scene, as "
-                f"recordings.speed_by_file_m_s = {slower}"
+                f"recordings.speed_by_file_m_s = {slower}{fitted}"
             )
     return found
 

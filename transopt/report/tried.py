@@ -137,7 +137,11 @@ def summary(found: Taps) -> str:
     first, *more = found[0]
     others = f", and {len(more)} taps more" if more else ""
     peak_g = first.peak_m_s2 / STANDARD_GRAVITY_M_S2
-    return f"{first.recording.acceleration.rate_Hz / 1e3:.4g} kHz, a peak of {peak_g:.3g} g{others}"
+    changed = ""
+    if first.speed_m_s > 0:
+        ratio = speed_changes_m_s(first.acceleration, 0.0)[0] / first.speed_m_s
+        changed = f", a change of speed by {ratio:.2g} times the incoming {first.speed_m_s:.3g} m/s"
+    return f"{first.recording.acceleration.rate_Hz / 1e3:.4g} kHz, a peak of {peak_g:.3g} g{changed}{others}"
 
 
 def oddness(found: Taps) -> float:

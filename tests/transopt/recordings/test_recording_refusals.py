@@ -166,6 +166,10 @@ def test_decimal_commas_are_suspected(tmp_path: Path) -> None:
         ("#\n# sped_m_s: 0.2\n", "row 2: unknown header key 'sped_m_s'; known: speed_m_s, speed_mm_s, grip_N"),
         ("# speed_cm_s: 20\n", "row 1: unknown header key 'speed_cm_s'"),
         ("# grip_n: 3\n", "row 1: unknown header key 'grip_n'"),
+        ("# grip: 3\n", "row 1: unknown header key 'grip'; known: speed_m_s, speed_mm_s, grip_N"),
+        ("# grip_kg: 0.3\n", "row 1: unknown header key 'grip_kg'"),
+        ("# Speed: 0.2\n", "row 1: unknown header key 'Speed'"),
+        ("# speed = 0,2 m/s\n", "row 1: unknown header key 'speed'"),
         ("# Speed_m_s: 0.2\n", "row 1: unknown header key 'Speed_m_s'"),
     ],
 )

@@ -12,7 +12,7 @@ from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
 from transopt.base.signals import Signal
 from transopt.recordings.settings import Recordings
 from transopt.recordings.split import bounds
-from transopt.recordings.tap import PreparedTap, prepare, read_recordings
+from transopt.recordings.tap import PreparedTap, check_speed, prepare, read_recordings
 
 # ---- lengths and rates -------------------------------------------------------------------------------------
 
@@ -105,3 +105,51 @@ def test_recorded_impacts_are_read_without_any_option() -> None:
     taps = [prepare(recording, stated) for recording in read_recordings(stated)]
     assert len(taps) == 25
     assert all(tap.recording.acceleration.values.max() > 300 * G for tap in taps)
+
+
+# ---- the grip and the position by their columns -----------------------------------------------------------------
+
+
+def gripped(name: str, force_N: float, position: str = "pos [m]") -> str:
+    """A session of three taps with a load cell that reads this force before contact, and more during a tap."""
+    rows = [line.split(",") for line in session(STARTS, SPEEDS).splitlines()[1:]]
+    t, a, z = np.array(rows, dtype=float).T
+    grip = force_N * np.ones(t.size)
+    for start in STARTS:
+        grip[(t >= start) & (t < start + 0.05)] *= 3
+    return f"time [s],acc [g],{position},{name}\n" + text(t, a, z, grip)
+
+
+@pytest.mark.parametrize(
+    ("name", "force_N"), [("Grip [N]", 3.0), ("grip_N", 3.0), ("Griffkraft [N]", 3.0), ("grip [N]", -3.0)]
+)
+def test_the_mean_of_a_grip_column_before_contact_is_the_grip(tmp_path: Path, name: str, force_N: float) -> None:
+    (tmp_path / "s.csv").write_text(gripped(name, force_N))
+    taps = [prepare(each, Recordings()) for each in read_recordings(settings(tmp_path, "s.csv", grip_N=5.0))]
+    assert [tap.recording.grip_N for tap in taps] == pytest.approx([3.0] * 3, rel=1e-3)
+    assert all(any("the grip of 3 N is the mean of its column" in note for note in tap.notes) for tap in taps)
+
+
+def test_a_stated_grip_goes_before_that_of_the_column(tmp_path: Path) -> None:
+    (tmp_path / "s.csv").write_text("# grip_N: 2\n" + gripped("Grip [N]", 3.0))
+    taps = [prepare(each, Recordings()) for each in read_recordings(settings(tmp_path, "s.csv"))]
+    assert [tap.recording.grip_N for tap in taps] == pytest.approx([2.0] * 3, rel=1e-12)
+
+
+def test_a_column_in_newton_is_a_grip_by_its_name_only(tmp_path: Path) -> None:
+    (tmp_path / "s.csv").write_text(gripped("Kraft [N]", 3.0))
+    first = read_recordings(settings(tmp_path, "s.csv"))[0]
+    assert first.grip is None
+    assert first.force is not None
+
+
+def test_a_position_by_an_unknown_name_is_offered_where_the_speed_is_missed(tmp_path: Path) -> None:
+    (tmp_path / "s.csv").write_text(gripped("Grip [N]", 3.0, position="Hub [m]"))
+    missed = prepare(read_recordings(settings(tmp_path, "s.csv"))[0], Recordings())
+    with pytest.raises(InputError, match=r"no incoming speed: .* for example --units Hub=m "):
+        check_speed(missed)
+    offered = prepare(read_recordings(settings(tmp_path, "s.csv", units={"Hub": "m"}))[0], Recordings())
+    assert offered.speed_m_s == pytest.approx(SPEEDS[0], rel=0.05)
+    (tmp_path / "s.csv").write_text(gripped("Grip [N]", 3.0, position="Weg [m]"))
+    known = prepare(read_recordings(settings(tmp_path, "s.csv"))[0], Recordings())
+    assert known.speed_m_s == pytest.approx(SPEEDS[0], rel=0.05)

@@ -162,7 +162,7 @@ class TestWithoutGrip:
             )
         (said,) = found.remarks(scene.grid.grips_N)
         assert "serve every grip" in said
-        assert "6.4 to 17 %" in said
+        assert "3.6 to 13.0 %" in said
         assert not found.remarks([3.0])
 
     def test_a_mixture_is_refused_by_name(self, scene: Scene, taps: list[Recording]) -> None:
