@@ -92,8 +92,8 @@ def _unknown(names: Sequence[str], words: Vocabulary, seen: Seen) -> InputError:
     response = next((name for name in unknown if is_frequency(name)), None)
     if response is not None and "frequency" not in words.quantities:
         raise InputError(
-            f"column {quote(response)}: a frequency response, no signal over time; a plant is fitted to it by "
-            "`transopt plant fit`"
+            f"column {quote(response)} is of a frequency response, not of a signal over time; fit a plant to it by "
+            "`transopt plant fit FILE --order 2 --out plant.npz`"
         )
     electrical = {base: unit for base, unit in map(apart, unknown) if unit and is_electrical(unit)}
     acceleration = "acceleration" in words.quantities

@@ -140,7 +140,8 @@ class Vocabulary:
 
     def knowing(self, units: Mapping[str, str]) -> "Vocabulary":
         """This vocabulary with the user's own names whose stated unit fits one quantity only."""
-        by_unit = [of for of in self.quantities if of != "grip"]  # a column in N is a force unless its name says grip
+        # A column in N is a force unless its name says grip.
+        by_unit = [of for of in self.quantities if of != "grip"]
         own = {name: [of for of in by_unit if read_unit(unit, of)] for name, unit in units.items()}
         # A unit of a response is that of its magnitude; `formats` splits a complex array into real and imaginary
         # part.
@@ -252,7 +253,9 @@ def is_weighed(name: str) -> bool:
 def is_frequency(name: str) -> bool:
     """Whether a column holds frequencies: by its name, and by its unit if it has one."""
     base, unit = apart(name)
-    return _small(base) in ("frequency", "freq", "frequenz") and (not unit or read_unit(unit, "frequency") is not None)
+    return _small(base) in ("frequency", "freq", "frequenz") and (
+        not unit or read_unit(unit, "frequency") is not None
+    )
 
 
 def stated_units(text: str) -> dict[str, str]:

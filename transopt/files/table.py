@@ -133,6 +133,7 @@ def _signals(table: RawTable, words: Vocabulary, notes: list[str]) -> tuple[dict
     if size / 2 < kept < size:
         notes.append(f"the last {size - kept} rows hold what is no number (NaN), and are left out")
         table = replace(table, columns={name: values[:kept] for name, values in table.columns.items()})
+    table = _without_empty(table)
     quantities = {name: table.meanings[name].quantity for name in table.columns}
     several = Counter(quantities.values())["acceleration"] > 1
     called = {name: axis_of(name) if several and of == "acceleration" else of for name, of in quantities.items()}
@@ -154,6 +155,23 @@ def _signals(table: RawTable, words: Vocabulary, notes: list[str]) -> tuple[dict
         if clock.missing or not _stamped_late(si, moved):
             si = moved
     return {quantity: Signal(clock.start_s, clock.step_s, values) for quantity, values in si.items()}, clock
+
+
+def _without_empty(table: RawTable) -> RawTable:
+    """The table without its few rows that lack a number, which count as lost like those that a recorder left out.
+
+    A row without a time stays, and is refused.
+    """
+    timed = [name for name in table.columns if table.meanings[name].quantity == "time"]
+    signals = [values for name, values in table.columns.items() if name not in timed]
+    if not signals or any(np.isnan(table.columns[name]).any() for name in timed):
+        return table
+    empty = np.any([np.isnan(values) for values in signals], axis=0)
+    rows = np.flatnonzero(~empty)
+    if not 0 < np.count_nonzero(empty) <= max(_MISSING * empty.size, 1):
+        return table
+    columns = {name: values[rows] for name, values in table.columns.items()}
+    return replace(table, columns=columns, place=lambda k: table.place(int(rows[k])))
 
 
 def _stamped_late(as_read: Mapping[str, FloatArray], moved: Mapping[str, FloatArray]) -> bool:

@@ -69,6 +69,35 @@ def pulse() -> tuple[np.ndarray, np.ndarray]:
     return times, 60 * np.sin(np.pi * np.clip(times - 0.1, 0, 4e-3) / 4e-3)
 
 
+def test_a_frequency_response_is_no_tap_and_the_command_that_is_named_fits_it(run: Run) -> None:
+    f = np.arange(20.0, 600.0, 2.0)
+    s = 2j * np.pi * f
+    mobility = 32.0 * s / (s**2 + s * 2 * np.pi * 150 / 8 + (2 * np.pi * 150) ** 2)
+    rows = text(f, 1e3 * np.abs(mobility), np.degrees(np.unwrap(np.angle(mobility))))
+    Path("ldv.csv").write_text("Frequency (Hz),Magnitude (mm/s/V),Phase (deg)\n" + rows)
+    refused = run("taps", "ldv.csv")
+    assert_refused(refused, "column 'Frequency (Hz)' is of a frequency response")
+    command = re.search(r"`transopt (plant fit FILE .*?)`", refused.err)
+    assert command is not None
+    fitted = run(*command[1].replace("FILE", "ldv.csv").split())
+    assert fitted.code == 0, fitted.err
+    assert "150 Hz (Q 8)" in fitted.out
+
+
+def test_speeds_that_are_proposed_are_told_apart_by_the_change_that_they_mean(run: Run) -> None:
+    times, values = pulse()
+    Path("x.csv").write_text("time_s,acceleration_m_s2\n" + text(times, values))
+    refused = run("taps", "x.csv")
+    assert_refused(refused, "a tap changes it by 1 to 2 times")
+    found = re.findall(
+        r"--speed (\S+) \(10 kHz, .*? a change of speed by (\S+) times the incoming (\S+) m/s\)", refused.err
+    )
+    assert len(found) == 3
+    for speed, ratio, said in found:
+        assert float(speed) == pytest.approx(float(said), rel=1e-9)
+        assert float(ratio) * float(speed) == pytest.approx(2 / np.pi * 60 * 4e-3, rel=0.1)
+
+
 class TestIdleOptions:
     """An option that none of the files has a use for is refused, and what it proposes instead reads them."""
 

@@ -9,6 +9,8 @@ from tests.benches.recording_files import DT_S, TAP_M_S2, TIMES_S, load, mat, np
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
 from transopt.files.names import apart, stated_units
+from transopt.files.text_rows import cells_of, parted_text
+from transopt.recordings.recording import VOCABULARY
 
 IN_G = text(TIMES_S, TAP_M_S2 / G)
 QUOTED = "".join('"{}","{}"\n'.format(*row.replace(".", ";").split(",")) for row in IN_G.split()).replace(";", ",")
@@ -403,3 +405,20 @@ def test_of_two_sensors_one_is_chosen_and_keeps_its_unit(tmp_path: Path) -> None
 @pytest.mark.parametrize("name", ["Channel A", "Probe C", "acc_min", "n m"])
 def test_the_letter_of_a_channel_is_no_unit(name: str) -> None:
     assert apart(name) == (name, None)
+
+
+@pytest.mark.parametrize(
+    ("cell", "beside", "size"),
+    [
+        ('"1,234"', "20.11.2026", 1.234),  # the points of a date are no decimal points
+        ('"1,234"', "10:11:12.123", 1.234),  # nor is that of a time of day
+        ('"1,234"', "0.5", 1234.0),  # beside a decimal point a comma separates thousands
+        ('"1,234"', "12", 1.234),
+    ],
+)
+def test_a_quoted_comma_is_decimal_unless_a_number_of_its_row_has_a_point(
+    cell: str, beside: str, size: float
+) -> None:
+    data = "".join(f"{beside},{cell}\n" for _ in range(9)).encode()
+    rows = parted_text(data, VOCABULARY).rows
+    assert all(float(cells_of(row)[1]) == pytest.approx(size, rel=1e-12) for row in rows)

@@ -269,3 +269,21 @@ def test_time_that_does_not_increase(tmp_path: Path) -> None:
 def test_time_in_the_wrong_unit(tmp_path: Path, factor: float) -> None:
     message = refusal(tmp_path, csv(factor * TIMES_S))
     assert f"median time step {factor * DT_S:g} s: must be 1e-09 to 0.05 s: check the unit of the time" in message
+
+
+@pytest.mark.parametrize("row", [1, 60, 150])
+def test_a_row_without_a_number_counts_as_a_lost_one(tmp_path: Path, row: int) -> None:
+    """One rule for a row that a recorder left out and one that it filled with NaN."""
+    gone = np.where(np.arange(TIMES_S.size) == row, np.nan, TAP_M_S2)
+    filled = load(tmp_path, csv(values=gone))
+    left_out = load(tmp_path, csv(np.delete(TIMES_S, row), np.delete(TAP_M_S2, row)))
+    np.testing.assert_allclose(filled.acceleration.values, left_out.acceleration.values, rtol=1e-12, atol=1e-12)
+    assert "1 of 200 samples lost" in filled.notes[0]
+    assert "interpolated" in filled.notes[0]
+
+
+def test_two_rows_in_a_row_without_a_number_are_refused(tmp_path: Path) -> None:
+    gone = np.where(np.isin(np.arange(TIMES_S.size), [60, 61]), np.nan, TAP_M_S2)
+    assert "2 samples dropped; at most 1 in a row is interpolated" in refusal(tmp_path, csv(values=gone))
+    gone[::20] = np.nan
+    assert "column acceleration_m_s2: nan: must be finite" in refusal(tmp_path, csv(values=gone))
