@@ -89,12 +89,6 @@ def _unknown(names: Sequence[str], words: Vocabulary, seen: Seen) -> InputError:
     A frequency response leaves no question open: it is no record over time, however its columns are read.
     """
     unknown = [name for name in names if name != SKIPPED and words.quantity_of(name) is None]
-    response = next((name for name in unknown if is_frequency(name)), None)
-    if response is not None and "frequency" not in words.quantities:
-        raise InputError(
-            f"column {quote(response)} is of a frequency response, not of a signal over time; fit a plant to it by "
-            "`transopt plant fit FILE --order 2 --out plant.npz`"
-        )
     electrical = {base: unit for base, unit in map(apart, unknown) if unit and is_electrical(unit)}
     acceleration = "acceleration" in words.quantities
     if electrical and acceleration:
@@ -107,7 +101,8 @@ def _unknown(names: Sequence[str], words: Vocabulary, seen: Seen) -> InputError:
     over = next((name for name in unknown if is_frequency(name)), None)
     if over is not None and "time" in absent:
         return InputError(
-            f"column {quote(over)}: a frequency response, and no record over time: `transopt plant fit` reads it"
+            f"column {quote(over)}: a frequency response, and no record over time; a plant is fitted to it by "
+            "`transopt plant fit FILE --order 2 --out plant.npz`"
         )
     weighed = [apart(name) for name in unknown if is_weighed(name)]
     if weighed and acceleration and "acceleration" in absent:

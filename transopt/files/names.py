@@ -250,14 +250,6 @@ def is_weighed(name: str) -> bool:
     return unit in ("g", "mg") and not WEIGHED.isdisjoint(found) and found.isdisjoint(STEMS)
 
 
-def is_frequency(name: str) -> bool:
-    """Whether a column holds frequencies: by its name, and by its unit if it has one."""
-    base, unit = apart(name)
-    return _small(base) in ("frequency", "freq", "frequenz") and (
-        not unit or read_unit(unit, "frequency") is not None
-    )
-
-
 def stated_units(text: str) -> dict[str, str]:
     """Units from a command line, `time=ms,acc=g`, by name of the column or quantity.
 

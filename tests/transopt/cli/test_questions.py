@@ -112,7 +112,8 @@ class TestTerminal:
         person = Person(tmp_path, "taps", "tap.csv", "--speed", SPEED_M_S)
         asked = " ".join(person.is_asked().split())
         assert "check the unit of the acceleration (g called m/s^2?)" in asked
-        assert "1 --units acceleration=g: 10 kHz, a peak of 13.6 g 2 --accept: 10 kHz" in asked
+        assert "1 --units acceleration=g: 10 kHz, a peak of 13.6 g, a change of speed by 1" in asked
+        assert " 2 --accept: 10 kHz" in asked
         person.types("--accept\n")
         assert person.ends() == 0, person.seen
         assert "the same without being asked: --accept\n" in person.seen

@@ -76,7 +76,7 @@ def test_a_frequency_response_is_no_tap_and_the_command_that_is_named_fits_it(ru
     rows = text(f, 1e3 * np.abs(mobility), np.degrees(np.unwrap(np.angle(mobility))))
     Path("ldv.csv").write_text("Frequency (Hz),Magnitude (mm/s/V),Phase (deg)\n" + rows)
     refused = run("taps", "ldv.csv")
-    assert_refused(refused, "column 'Frequency (Hz)' is of a frequency response")
+    assert_refused(refused, "column 'Frequency (Hz)': a frequency response, and no record over time")
     command = re.search(r"`transopt (plant fit FILE .*?)`", refused.err)
     assert command is not None
     fitted = run(*command[1].replace("FILE", "ldv.csv").split())

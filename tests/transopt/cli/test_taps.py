@@ -129,7 +129,9 @@ class TestTaps:
         columns = ("--columns", "time_s,acceleration_g")
         refused = run("taps", "impact.txt", *columns)
         assert (refused.code, refused.err.count("\n")) == (2, 1)
-        assert "no incoming speed" in refused.err
+        assert "peak 99.6 g, a tap's by hand 0.3 to 60 g" in refused.err  # low-passed, as the target is
+        stated = run("taps", "impact.txt", *columns, "--speed", 1.0)
+        assert_refused(stated, "peak 99.6 g, a tap's by hand 0.3 to 60 g")
         outcome = run("taps", "impact.txt", *columns, "--speed", 1.0, "--time-scale", 10, "--amplitude-scale", 0.02)
         assert outcome.code == 0
         assert "similarity-scaled" in outcome.out

@@ -206,7 +206,7 @@ def test_bad_variables(tmp_path: Path, suffix: str, changed: dict[str, Any], wor
 def test_a_frequency_response_is_called_one_whatever_its_columns_could_be_read_as(tmp_path: Path, head: str) -> None:
     rows = "".join(f"{20 + j},{0.5 + 0.01 * j},{89 - j}\n" for j in range(40))
     message = refusal(tmp_path, f"{head}\n{rows}")
-    assert message.endswith("a frequency response, and no record over time: `transopt plant fit` reads it")
+    assert message.endswith("by `transopt plant fit FILE --order 2 --out plant.npz`")
     assert "--units" not in message
 
 
