@@ -201,3 +201,17 @@ def test_a_hammers_session_gives_each_of_its_taps(tmp_path: Path) -> None:
         taps[1].require("acceleration").values, 2 * G * taps[1].require("force").values, rtol=1e-6, atol=1e-9
     )
     assert [tap.name for tap in split_taps(runs, [2])] == ["hammer.txt#2"]
+
+
+def test_the_speed_of_a_tap_that_differs_is_that_of_its_position(run: Run) -> None:
+    """One speed stated for all: the position of the slowest tells its own, whatever the peaks say."""
+    for number, (speed, size) in enumerate(((0.2, 1.0), (0.094, 0.3))):
+        times = np.arange(3000) * 1e-4
+        after = times - 0.1
+        tap = 60 * size * np.sin(np.pi * np.clip(after, 0, 4e-3) / 4e-3)
+        position = np.where(after < 0, -speed * after, 0.0)
+        rows = text(times, 9.80665 + tap + 0.01 * np.sin(np.arange(3000) ** 2), position)
+        Path(f"t{number}.csv").write_text("time_s,acceleration_m_s2,position_m\n" + rows)
+    shown = run("taps", "t0.csv", "t1.csv", "--speed", 0.2, "--accept").out
+    assert 'recordings.speed_by_file_m_s = { "t1.csv" = 0.094 }' in shown
+    assert "or leave the speed out where a position tells it" in shown
