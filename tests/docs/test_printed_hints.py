@@ -130,7 +130,8 @@ CARRIED_OUT = {
     ): what_was_meant,
     (
         "docs/howto/recordings.md",
-        "the right one: --units 'Channel A=mV @ 100 mV/g' (10 kHz, a peak of 13.6 g, a change of speed by 1.7 times the incoming 0.2 m/s) or ...",
+        "the right one: --units 'Channel A=mV @ 100 mV/g' (10 kHz, a peak of 13.6 g, "
+        "a change of speed by 1.7 times the incoming 0.2 m/s) or ...",
     ): what_reads_it,
 }
 
