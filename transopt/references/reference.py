@@ -127,8 +127,13 @@ class Reference:
         """Target of the device at this speed: r - a_free and a_free itself."""
         return self.aimed()
 
+    @property
+    def aims_at_recorded(self) -> bool:
+        """Whether r - a_free is r itself, along a single direction."""
+        return self.recorded_m_s2.ndim == 1 and not any(getattr(self, name).any() for name in COURSES[3:6])
+
     def aimed(self, into: FloatArray | None = None) -> Target:
-        """`target` with r - a_free written into an array (K,), or (p, K), which it then shares."""
+        """`target` with r - a_free written into an array (K,), or (p, K), which it shares unless it is r itself."""
         lost, stages = self.recorded_before_m_s2.shape[-1], self.recorded_m_s2.shape[-1]
         count = lost + stages + self.recorded_after_m_s2.shape[-1]
         if self.recorded_m_s2.ndim == 1:
@@ -138,7 +143,8 @@ class Reference:
             free = np.concatenate([getattr(self, name) for name in COURSES[3:6]], axis=-1)
         if recorded.ndim > free.ndim:  # a_free is along the normal only
             free = along_normal(free, len(recorded))
-        return Target.of_whole(np.subtract(recorded, free, out=into), free, lost, stages)
+        whole = recorded if self.aims_at_recorded else np.subtract(recorded, free, out=into)
+        return Target.of_whole(whole, free, lost, stages)
 
     @property
     def in_words(self) -> str:

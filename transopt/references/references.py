@@ -48,18 +48,27 @@ class Cells:
     @classmethod
     def of(cls, columns: Iterable[Sequence[Reference]], grips: int) -> "Cells":
         """Copy references into common arrays, grip by grip, so that those of one grip are in memory twice at most."""
-        cells = list[list[Reference]]()
+        cells, resting = list[list[Reference]](), list[tuple[int, int]]()
         for j, column in enumerate(columns):
             if not cells:
                 first, target = column[0], column[0].target
                 cells = [[] for _ in column]
-                stacked = np.empty((len(column), grips, first.stacked.size))
+                stacked = np.zeros((len(column), grips, first.stacked.size))
                 asked = np.empty((len(column), grips, *target.whole_m_s2.shape))
             for i, cell in enumerate(column):
-                stacked[i, j] = cell.stacked
+                # Memory of zeros that is never written to is not allocated.
+                for part, _ in cell.within_stacked.values():
+                    if cell.stacked[part].any():
+                        stacked[i, j, part] = cell.stacked[part]
                 moved = cell.with_courses(stacked[i, j])
                 vars(moved)["target"] = moved.aimed(asked[i, j])
+                if moved.aims_at_recorded:
+                    resting.append((i, j))
                 cells[i].append(moved)
+        if len(resting) == len(cells) * grips:
+            asked, resting = stacked[..., : asked.shape[-1]], []
+        for i, j in resting:
+            asked[i, j] = cells[i][j].target.whole_m_s2
         parts = np.split(asked, [target.lost, target.lost + first.recorded_m_s2.shape[-1]], axis=-1)
         courses = {
             name: stacked[..., part].reshape(*stacked.shape[:2], *shape)

@@ -27,6 +27,7 @@ from transopt.solvers.modes import Modes, modes_of
 from transopt.solvers.stated_rows import WINDING, Rows, kelvin, rows_of
 
 MOST_KEPT = 128  # cached problems per thread: as many as are solved side by side, also without the temperature
+ROUNDING = 1e-12  # share of the largest multiplier, in units of the limits, up to which another one is none
 NO_LIMITS = dict.fromkeys(("G", "d", "d_size", "lower", "upper"), np.zeros(0))
 # Integers, addresses of arrays, and scalars of `tr_problem` of riccati.c, in its order.
 SIZES = ("stages", "free_stages", "states", "motors", "outputs", "ends", "rows", "nodes", "current", "repeated")
@@ -159,7 +160,10 @@ class Stages:
         return np.ascontiguousarray(-gradient[..., self.problem.free_stages :] * (OBJECTIVE_SCALE / self.input_scale))
 
     def multipliers(self, by_row: FloatArray, gradient: FloatArray) -> Multipliers:
-        """Multipliers of J in SI, from the scaled ones (N + 1, rows), upper less lower, and the gradient."""
+        """Multipliers of J in SI, from the scaled ones (N + 1, rows), upper less lower, and the gradient.
+
+        Those of bounds that do not bind are what rounding leaves; they are zero here, and take no memory in a library.
+        """
         problem, N = self.problem, self.sizes["stages"]
         by, place = OBJECTIVE_SCALE / self.limits.unit, {kind: j for j, kind in enumerate(self.limits.kinds)}
         rows = [(row.name, place[row.name], limit.stated) for limit, row in problem.rows() if row.linear]
@@ -167,7 +171,8 @@ class Stages:
             by[j] /= stated
         if problem.thermal is not None:
             by[place[WINDING]] /= self.kelvin
-        in_SI = np.ascontiguousarray((by_row * by).T)
+        priced = np.abs(by_row)
+        in_SI = np.ascontiguousarray((np.where(priced > ROUNDING * priced.max(initial=0.0), by_row, 0.0) * by).T)
         upper, lower = np.maximum(in_SI, 0.0), np.maximum(-in_SI, 0.0)
         pairs, slope = {name: (lower[j, :N], upper[j, :N]) for name, j, _ in rows}, np.zeros(N)
         if problem.thermal is not None:
