@@ -225,7 +225,8 @@ class Library(Posed):
         """One array by its attribute name; zeros for the multipliers of a limit that the problem does not have."""
         if name.startswith("mu_") and name != "mu_end":
             found = self.multipliers_of.get(name)
-            return np.zeros_like(self.command) if found is None else found
+            speeds, grips, *_, stages = self.command.shape  # motors stand before the stages
+            return np.zeros((speeds, grips, stages)) if found is None else found
         return np.asarray(getattr(self, name))
 
     @property
