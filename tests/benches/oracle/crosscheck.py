@@ -27,13 +27,13 @@ class Crosscheck:
 
     Attributes
     ----------
-    path_m : by the accelerometer, since the encoder's last count.
-    stuck : while a transient plays that path is longer than an encoder can sleep through.
+    path_m : by the accelerometer, since the encoder last moved.
+    stuck : while a current flows that path is longer than an encoder can sleep through.
     quiet : the accelerometer was silent while current shook the stylus.
     """
 
     def __init__(self, s: Settings) -> None:
-        self._dt_s, self._count_m = s.dt_s, s.count_m
+        self._dt_s, self._count_m, self._stuck_A = s.dt_s, s.count_m, s.stuck_A
         self._stuck_m, self._swing_A = float("inf"), float("inf")
         # An excitation may be played on a rotor that is blocked on purpose.
         if s.has_accelerometer and not s.host_starts:
@@ -54,13 +54,13 @@ class Crosscheck:
         self._middle_m_s2 = 0.0
 
     def step(self, moved: int, acceleration_m_s2: float, current_A: float, playing: bool) -> None:
-        """One tick: counts since the last one, acceleration, current, whether a transient plays."""
+        """One tick: counts by which the encoder moved, acceleration, current, whether a transient plays."""
         # Written so that NaN is absurd.
         sound = -ABSURD_M_S2 <= acceleration_m_s2 <= ABSURD_M_S2
         acceleration = acceleration_m_s2 if sound else 0.0
         self._follow(moved, acceleration)
-        if playing:
-            self._listen(acceleration, current_A)
+        if playing or abs(current_A) >= self._stuck_A:
+            self._listen(acceleration, current_A, playing)
             # A dead accelerometer takes the end of a motion for its going on.
             self.stuck = abs(self.path_m) >= self._stuck_m and self._heard() >= DEAD_M_S2 * DEAD_M_S2
         elif self._whole or self._ticks:
@@ -74,6 +74,8 @@ class Crosscheck:
         self._still_ticks += 1
         if moved == 0:
             if self._still_ticks >= self._still_limit:
+                # At rest: what is read on average is the offset.
+                self._offset_m_s2 += self._speed_m_s / (self._still_ticks * self._dt_s)
                 self._rest()
             return
         self._ahead_m -= moved * self._count_m
@@ -92,7 +94,7 @@ class Crosscheck:
         self.path_m = self._ahead_m = self._speed_m_s = 0.0
         self._still_ticks = 0
 
-    def _listen(self, acceleration_m_s2: float, current_A: float) -> None:
+    def _listen(self, acceleration_m_s2: float, current_A: float, playing: bool) -> None:
         if self._ticks == 0 and self._whole == 0 and self._at == 0:
             # About the first reading, so that squares of a large offset do not hide a small motion.
             self._middle_m_s2 = acceleration_m_s2
@@ -108,16 +110,17 @@ class Crosscheck:
         self._at = self._at + 1 if self._at + 1 < QUIET_BLOCKS else 0
         self._whole = min(self._whole + 1, QUIET_BLOCKS)
         if self._whole == QUIET_BLOCKS:
-            self._judge()
+            self._judge(playing)
 
-    def _judge(self) -> None:
+    def _judge(self, playing: bool) -> None:
         # The answer to what the current did in the newest block is still to come.
         newest = (self._at if self._at > 0 else QUIET_BLOCKS) - 1
         low_A, high_A = self._blocks[self._at][2:]
         for j, (_, _, low, high) in enumerate(self._blocks):
             if j != newest:
                 low_A, high_A = min(low_A, low), max(high_A, high)
-        self.quiet = self._heard() < QUIET_M_S2 * QUIET_M_S2 and high_A - low_A >= self._swing_A
+        silent = self._heard() < QUIET_M_S2 * QUIET_M_S2
+        self.quiet = playing and silent and high_A - low_A >= self._swing_A
 
     def _heard(self) -> float:
         """Variance of the acceleration within the window, as far as it has come."""

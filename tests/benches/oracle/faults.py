@@ -22,7 +22,8 @@ class Watch:
     raw_grip_N : as read. step_m_s : speed of the encoder over the last tick.
     expected_A : current that the amplifier model expects now, its whole ticks of delay included.
     missing_ticks : for so long far less current than expected was measured.
-    still_ticks, still_A_s : since the last count: ticks with current, impulse of the transient.
+    low_counts : still is an encoder that stays within these counts and one more, as one with a single channel does.
+    still_ticks : with current on a still encoder. still_A_s : impulse of the transient since the last count.
     wrong, wrong_ticks : another current than expected was measured in the last tick, and for so long.
     crosscheck : what encoder, accelerometer and current say of each other.
     """
@@ -38,7 +39,7 @@ class Watch:
         self._rate_m_s = s.count_m / s.dt_s
         self._new_grip = 1.0 if s.grip_filter_s == 0 else min(s.dt_s / s.grip_filter_s, 1.0)
         self._seen = self._gripped = False
-        self.counts = 0
+        self.counts = self.low_counts = 0
         self.current_A = self.expected_A = self.raw_grip_N = self.step_m_s = 0.0
         self.emergency_stop = self.host_stop = self.late = False
         self.bad_encoder = self.bad_current = self.playing = self.held = self.wrong = False
@@ -67,11 +68,15 @@ class Watch:
         # Comparisons with NaN are false: written so that NaN is bad.
         self.bad_encoder = not (-s.encoder_limit_counts <= counts <= s.encoder_limit_counts)
         self.bad_current = not (-s.current_range_A <= current <= s.current_range_A)
-        moved = 0
+        moved = left = 0
         if not self.bad_encoder:
             counts = int(counts)
-            moved = counts - self.counts if self._seen else 0
-            self.counts, self._seen = counts, True
+            if not self._seen:
+                self.counts = self.low_counts = counts
+            moved = counts - self.counts
+            low = min(max(self.low_counts, counts - 1), counts)
+            left = low - self.low_counts
+            self.counts, self.low_counts, self._seen = counts, low, True
         self.step_m_s = moved * self._rate_m_s
         self.current_A = expected_A if self.bad_current else current
         self.raw_grip_N = grip
@@ -83,11 +88,11 @@ class Watch:
         self.missing_ticks = self.missing_ticks + 1 if missing else 0
         self.wrong = abs(self.current_A - expected_A) > WRONG_CURRENT_A + WRONG_CURRENT_PART * expected
         self.wrong_ticks = self.wrong_ticks + 1 if self.wrong else 0
-        self.crosscheck.step(moved, readings.acceleration_m_s2, self.current_A, playing)
+        self.crosscheck.step(left, readings.acceleration_m_s2, self.current_A, playing)
+        self.still_ticks = self.still_ticks + 1 if left == 0 and size >= s.stuck_A else 0
         if moved != 0:
-            self.still_ticks, self.still_A_s = 0, 0.0
+            self.still_A_s = 0.0
         else:
-            self.still_ticks = self.still_ticks + 1 if size >= s.stuck_A else 0
             # A slow tail of the transient may well be held still by the hand; its strokes cannot.
             self.still_A_s += transient_A * s.dt_s if abs(transient_A) >= s.stuck_A else 0.0
 

@@ -26,6 +26,13 @@ static void rest(td_crosscheck *check)
     check->still_ticks = 0;
 }
 
+/* After so long without a count the stylus counts as at rest: what the accelerometer reads on average is its offset. */
+static void settle(td_crosscheck *check, const td_config *config)
+{
+    check->offset_m_s2 += check->speed_m_s / ((td_real)check->still_ticks * config->tick_s);
+    rest(check);
+}
+
 static void follow(td_crosscheck *check, const td_config *config, int32_t moved, td_real acceleration_m_s2)
 {
     const td_real dt_s = config->tick_s;
@@ -38,7 +45,7 @@ static void follow(td_crosscheck *check, const td_config *config, int32_t moved,
     check->still_ticks++;
     if (moved == 0) {
         if (check->still_ticks >= config->rest_limit)
-            rest(check);
+            settle(check, config);
         return;
     }
     check->ahead_m -= (td_real)moved * config->step_m;
@@ -75,7 +82,7 @@ static td_real heard(const td_crosscheck *check, const td_config *config)
     return square / (td_real)readings - mean * mean;
 }
 
-static void judge(td_crosscheck *check, const td_config *config)
+static void judge(td_crosscheck *check, const td_config *config, bool playing)
 {
     /* The response to the current of the newest block is still to come. */
     const int32_t newest = (check->at > 0 ? check->at : TD_QUIET_BLOCKS) - 1;
@@ -89,10 +96,11 @@ static void judge(td_crosscheck *check, const td_config *config)
         low_A = smaller(low_A, check->blocks[j].low_A);
         high_A = larger(high_A, check->blocks[j].high_A);
     }
-    check->quiet = variance < (td_real)TD_QUIET_M_S2 * (td_real)TD_QUIET_M_S2 && high_A - low_A >= config->swing_A;
+    check->quiet = playing && variance < (td_real)TD_QUIET_M_S2 * (td_real)TD_QUIET_M_S2 && high_A - low_A >= config->swing_A;
 }
 
-static void listen(td_crosscheck *check, const td_config *config, td_real acceleration_m_s2, td_real current_A)
+static void listen(td_crosscheck *check, const td_config *config, td_real acceleration_m_s2, td_real current_A,
+                   bool playing)
 {
     td_block *block = &check->blocks[check->at];
     td_real a;
@@ -117,7 +125,7 @@ static void listen(td_crosscheck *check, const td_config *config, td_real accele
     if (check->whole < TD_QUIET_BLOCKS)
         check->whole++;
     if (check->whole == TD_QUIET_BLOCKS)
-        judge(check, config);
+        judge(check, config, playing);
 }
 
 void td_crosscheck_step(td_crosscheck *check, const td_config *config, int32_t moved, td_real acceleration_m_s2,
@@ -127,8 +135,8 @@ void td_crosscheck_step(td_crosscheck *check, const td_config *config, int32_t m
     if (!(-(td_real)TD_ABSURD_M_S2 <= acceleration_m_s2 && acceleration_m_s2 <= (td_real)TD_ABSURD_M_S2))
         acceleration_m_s2 = 0;
     follow(check, config, moved, acceleration_m_s2);
-    if (playing) {
-        listen(check, config, acceleration_m_s2, current_A);
+    if (playing || td_size(current_A) >= config->stuck_A) {
+        listen(check, config, acceleration_m_s2, current_A, playing);
         /* A dead accelerometer misses the end of a motion, so its path would grow without one: it must show noise. */
         check->stuck = td_size(check->path_m) >= config->stuck_m &&
                        heard(check, config) >= (td_real)TD_DEAD_M_S2 * (td_real)TD_DEAD_M_S2;

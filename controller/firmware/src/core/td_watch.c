@@ -11,7 +11,7 @@ void td_watch_forget(td_watch *watch)
 
 void td_watch_start(td_watch *watch, const td_config *config)
 {
-    watch->counts = 0;
+    watch->counts = watch->low_counts = 0;
     watch->grip_N = config->assumed_grip_N;
     watch->raw_grip_N = watch->current_A = watch->expected_A = watch->step_m_s = 0;
     watch->seen = watch->gripped = false;
@@ -22,13 +22,26 @@ void td_watch_start(td_watch *watch, const td_config *config)
     td_watch_forget(watch);
 }
 
+/* By how much the encoder has left its two counts. One that has a single channel goes back and forth between two for ever,
+ * as a sound one does on an edge; at a turn of a sound one this is one count late. */
+static int32_t leave(int32_t *low_counts, int32_t counts)
+{
+    const int32_t before = *low_counts;
+
+    if (counts < before)
+        *low_counts = counts;
+    else if (counts > before + 1)
+        *low_counts = counts - 1;
+    return *low_counts - before;
+}
+
 void td_watch_step(td_watch *watch, const td_config *config, const td_readings *readings, td_real expected_A,
                    td_real transient_A, bool playing, bool held)
 {
     const int32_t counts = readings->encoder_counts;
     const td_real current = readings->current_A, grip = readings->grip_N;
     td_real size, expected, gap;
-    int32_t moved = 0;
+    int32_t moved = 0, left = 0;
 
     watch->emergency_stop = readings->emergency_stop;
     watch->host_stop = readings->host_stop;
@@ -40,7 +53,10 @@ void td_watch_step(td_watch *watch, const td_config *config, const td_readings *
     watch->bad_encoder = !(-config->encoder_limit_counts <= counts && counts <= config->encoder_limit_counts);
     watch->bad_current = !(-config->current_range_A <= current && current <= config->current_range_A);
     if (!watch->bad_encoder) {
-        moved = watch->seen ? counts - watch->counts : 0;
+        if (!watch->seen)
+            watch->counts = watch->low_counts = counts;
+        moved = counts - watch->counts;
+        left = leave(&watch->low_counts, counts);
         watch->counts = counts;
         watch->seen = true;
     }
@@ -63,18 +79,15 @@ void td_watch_step(td_watch *watch, const td_config *config, const td_readings *
         watch->wrong_ticks = 0;
     else if (watch->wrong_ticks < config->wrong_limit)
         watch->wrong_ticks++;
-    td_crosscheck_step(&watch->crosscheck, config, moved, readings->acceleration_m_s2, watch->current_A, playing);
-    if (moved != 0) {
-        watch->still_ticks = 0;
-        watch->still_A_s = 0;
-        return;
-    }
-    if (!(size >= config->stuck_A))
+    td_crosscheck_step(&watch->crosscheck, config, left, readings->acceleration_m_s2, watch->current_A, playing);
+    if (left != 0 || !(size >= config->stuck_A))
         watch->still_ticks = 0;
     else if (watch->still_ticks < config->still_limit)
         watch->still_ticks++;
     /* A hand may hold the stylus still during the slow tail of a transient, but not during its strokes. */
-    if (td_size(transient_A) >= config->stuck_A)
+    if (moved != 0)
+        watch->still_A_s = 0;
+    else if (td_size(transient_A) >= config->stuck_A)
         watch->still_A_s += transient_A * config->tick_s;
 }
 
