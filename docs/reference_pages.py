@@ -11,6 +11,7 @@ import typer
 from key_pages import device_keys, scene_keys
 from page_tables import code, table
 
+from controller.protocol.codes import EVIDENCE_FAULTS
 from controller.servo.interface import Fault, Notice, State
 from controller.servo.rules import (
     FEWEST_TICKS,
@@ -56,9 +57,9 @@ SEEN_WHEN = {
     Fault.OVER_TEMPERATURE: "the estimated winding is above its limit, or no number",
     Fault.ENCODER_JUMP: "the encoder moves faster than {fastest_m_s} m/s",
     Fault.ENCODER_STUCK: (
-        "{stuck_A_s} A s of a transient, or {stuck_s} s above {stuck_A} A, pass without a count of the encoder; "
-        f"or, while a transient plays, a motion of {STUCK_COUNTS:g} counts and {1e3 * STUCK_LEAST_M:g} mm by the "
-        "accelerometer"
+        "{stuck_A_s} A s of a transient pass without a count of the encoder, or {stuck_s} s above {stuck_A} A while it stays "
+        f"within two neighbouring counts; or, while a transient plays or more than {{stuck_A}} A flow, a motion of "
+        f"{STUCK_COUNTS:g} counts and {1e3 * STUCK_LEAST_M:g} mm by the accelerometer"
     ),
     Fault.NO_CURRENT: (
         "for {no_current_s} s less than {no_current_part} of the expected current flows, where that is "
@@ -134,8 +135,11 @@ def model_file() -> str:
 def faults() -> str:
     """What makes a device give up, in the order in which it is looked for."""
     numbers = {field.name: field.default for field in fields(Settings)}
-    rows = [[code(fault.name), seen.format_map(numbers), fault.value] for fault, seen in SEEN_WHEN.items()]
-    return table(["fault", "seen when", "what it says"], rows)
+    rows = [
+        [code(fault.name), seen.format_map(numbers), fault.value, "taken" if fault in EVIDENCE_FAULTS else "kept"]
+        for fault, seen in SEEN_WHEN.items()
+    ]
+    return table(["fault", "seen when", "what it says", "evidence"], rows)
 
 
 def states() -> str:

@@ -152,7 +152,7 @@ def check(
         return
     without = f" without {', '.join(skipped)}" if skipped else ""
     console.print(
-        f"passed{without}: this configuration may be armed until the device starts anew"
+        f"passed{without}: this configuration may be armed until the device starts anew, or a fault says `check`"
         if good
         else "the sensors are as they should be; give a library for the rest of the check"
     )

@@ -5,6 +5,7 @@ A test compares the file with `header_text()`, so the two languages cannot drift
 
 import struct
 import textwrap
+from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from controller.protocol import capacity, codes, configuration, image, messages,
 from controller.protocol.messages import MESSAGES
 from controller.protocol.packed import OPEN_END
 from controller.servo import rules, settings
+from controller.servo.interface import Fault
 
 HEADER_PATH = Path(__file__).parents[1] / "firmware" / "src" / "core" / "td_messages.h"
 C_TYPES = {"B": "u8", "H": "u16", "I": "u32", "i": "i32", "Q": "u64", "f": "f32", "d": "f64"}
@@ -62,6 +64,10 @@ def _enumeration(title: str, prefix: str, members: dict[str, int]) -> list[str]:
     return [f"/* {title} */", "enum {", *(f"    {line}" for line in _members(prefix, members)), "};", ""]
 
 
+def _fault_bits(faults: Iterable[Fault]) -> int:
+    return sum(1 << list(Fault).index(fault) for fault in faults)
+
+
 def header_text() -> str:
     """td_messages.h."""
     lines = [
@@ -90,6 +96,7 @@ def header_text() -> str:
         _define("TD_RECORDS_LIMIT", messages.RECORDS_LIMIT, "records in one TELEMETRY_DATA"),
         _define("TD_PULSE_SOUND", messages.PULSE_SOUND, "bit of evidence"),
         _define("TD_TRIAL_FINISHED", messages.TRIAL_FINISHED, "bit of evidence"),
+        _define("TD_EVIDENCE_FAULTS", f"0x{_fault_bits(codes.EVIDENCE_FAULTS):X}u", "bits, see td_fault_bit"),
         _define("TD_RECORD_NO_COUNTS", "INT32_MIN", "of an encoder that gave no number"),
         "",
     ]

@@ -51,7 +51,10 @@ class Reason(Enum):
     NO_LIBRARY = "the device has no library in force: upload one first"
     WRONG_CONFIGURATION = "the device's configuration is not the one asked for: configure it again"
     WRONG_LIBRARY = "the device's library is not the one asked for: upload it again"
-    NO_PULSE = "no sound test pulse under this configuration since the device started: run `check`"
+    NO_PULSE = (
+        "no sound test pulse under this configuration since the device started, or since a fault of encoder, current "
+        "or accelerometer: run `check`"
+    )
     NOT_AT_REST = "the stylus is moving: hold it still, then arm"
     TOO_HOT = "the coil is too hot to play: let it cool"
     BAD_LEASE = "the lease must be 50 to 1000 ms"
@@ -98,6 +101,17 @@ class LinkNotice(Enum):
 
 
 What = Notice | Fault | LinkNotice
+# Faults that take the evidence, since their remedy is at a cable of encoder, amplifier or accelerometer: what is plugged
+# in anew may be reversed. The grip is no part of the evidence.
+EVIDENCE_FAULTS = (
+    Fault.BAD_SENSOR,
+    Fault.ENCODER_JUMP,
+    Fault.ENCODER_STUCK,
+    Fault.OVER_CURRENT,
+    Fault.NO_CURRENT,
+    Fault.WRONG_CURRENT,
+    Fault.ACCELEROMETER_DEAD,
+)
 STATES = tuple(State)  # code: place in this list
 REASONS = dict(enumerate(Reason, 1))
 # Code on the wire -> event; 0 means no event.

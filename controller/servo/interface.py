@@ -18,19 +18,19 @@ class Fault(Enum):
     """Why the servo went to FAULT; the value is the message and the remedy."""
 
     OVER_TEMPERATURE = "the coil is too hot: let it cool, then reset"
-    BAD_SENSOR = "a sensor gave no number or an absurd one: check its wiring, then reset"
-    ENCODER_JUMP = "the encoder moved faster than a hand can: check its cable, then reset"
-    ENCODER_STUCK = "current flows but the encoder does not move: check coupling and encoder, then reset"
+    BAD_SENSOR = "a sensor gave no number or an absurd one: check its wiring, reset, then `check`"
+    ENCODER_JUMP = "the encoder moved faster than a hand can: check its cable, reset, then `check`"
+    ENCODER_STUCK = "current flows but the encoder does not move: check coupling and encoder, reset, then `check`"
     GRIP_OPEN = "the grip sensor reads as if it were not connected: check its cable, then reset"
     GRIP_SHORT = "the grip sensor reads as if it were shorted: check its cable, then reset"
     GRIP_LOST = "the stylus was let go while a transient played: hold it, then reset"
-    OVER_CURRENT = "the measured current is above the limit: check the amplifier, then reset"
-    NO_CURRENT = "a command was given but no current flows: check amplifier and motor cable, then reset"
+    OVER_CURRENT = "the measured current is above the limit: check the amplifier, reset, then `check`"
+    NO_CURRENT = "a command was given but no current flows: check amplifier and motor cable, reset, then `check`"
     EMERGENCY_STOP = "emergency stop: release it, then reset"
     HOST_STOP = "the host has stopped the device: reset when it may go on"
     LATE_TICK = "a servo period came late: report this, then reset"
-    WRONG_CURRENT = "another current flows than was commanded: check amplifier, supply and monitor, then reset"
-    ACCELEROMETER_DEAD = "current shakes the stylus but the accelerometer is silent: check its cable, then reset"
+    WRONG_CURRENT = "another current flows than was commanded: check amplifier, supply and monitor, reset, then `check`"
+    ACCELEROMETER_DEAD = "current shakes the stylus but the accelerometer is silent: check its cable, reset, then `check`"
 
 
 class Notice(Enum):

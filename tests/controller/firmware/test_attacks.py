@@ -109,14 +109,20 @@ def evidence(talker: Talker) -> m.EvidenceReply:
     return found
 
 
-def pulsed(talker: Talker, plant: Plant) -> m.EvidenceReply:
+def pulses(talker: Talker, plant: Plant) -> m.EvidenceReply:
     """Three pairs of pulses to their end."""
-    talker.configured(configuration_of(WATCHED))
     plant.step(200)
+    talker.heard()
     talker.done(m.Pulse(WATCHED.pulse_A, PULSE_TICKS, 3))
     plant.step(6 * (1000 + PULSE_TICKS + 20))
     talker.heard()
     return evidence(talker)
+
+
+def pulsed(talker: Talker, plant: Plant, settings: Settings = WATCHED) -> m.EvidenceReply:
+    """Likewise, under a new configuration."""
+    talker.configured(configuration_of(settings))
+    return pulses(talker, plant)
 
 
 def arm(settings: Settings, image: bytes, **others: float) -> m.Arm:

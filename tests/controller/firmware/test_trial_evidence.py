@@ -9,14 +9,14 @@ import pytest
 
 from controller.protocol import messages as m
 from controller.protocol.codes import Reason, Stage
-from controller.protocol.configuration import configuration_of
 from controller.protocol.image import image_of
-from controller.servo.interface import Output, Readings, State
+from controller.servo.interface import Fault, Output, Readings, State
 from controller.servo.settings import Settings
 from tests.benches.compiled import DT_S, smooth_bank
 from tests.benches.device import IMAGE, SETTINGS, Talker
 from tests.benches.probed import ProbedDevice
-from tests.controller.firmware.test_attacks import HARDWARE, PULSE_TICKS, WATCHED, Plant, arm, evidence, pulsed
+from tests.controller.firmware.test_attacks import HARDWARE, WATCHED, Plant, arm, evidence, pulsed, pulses
+from transopt.plant.wall import Wall
 
 pytestmark = pytest.mark.usefixtures("c_compiler")
 
@@ -44,7 +44,7 @@ class Hand:
     ) -> None:
         self.talker, self.encoder, self.accelerometer, self.monitor = talker, encoder, accelerometer, monitor
         self.keep = math.exp(-2 * math.pi * 1050.0 * DT_S)
-        self.true_A, self.tick = 0.0, 0
+        self.true_A, self.tick, self.counts = 0.0, 0, 204
         self.output = Output(0.0, State.IDLE, 0.0, 0.0, math.nan)
         self.states = {State.IDLE}
 
@@ -57,12 +57,18 @@ class Hand:
             time_s = DT_S * self.tick
             z, before, after = (self.height_m(time_s + d) for d in (0.0, -DT_S, DT_S))
             bend = (before - 2 * z + after) / DT_S**2 if self.tick else 0.0
-            counts = math.floor((5e-3 + self.encoder * (z - 5e-3)) / SETTINGS.count_m + 0.5)
-            readings = Readings(0, counts, 3.0, self.monitor * self.true_A, self.accelerometer * bend)
+            self.counts = math.floor((5e-3 + self.encoder * (z - 5e-3)) / SETTINGS.count_m + 0.5)
+            readings = Readings(0, self.counts, 3.0, self.monitor * self.true_A, self.accelerometer * bend)
             self.output = self.talker.step(1, readings)
             self.states.add(self.output.state)
             self.true_A = self.keep * self.true_A + (1 - self.keep) * self.output.command_A
             self.tick += 1
+
+    def rest(self, ticks: int) -> None:
+        """Back to where it began, a count per tick, and still."""
+        for _ in range(ticks):
+            self.counts += (self.counts < 204) - (self.counts > 204)
+            self.talker.step(1, Readings(0, self.counts, 3.0, 0.0, 0.0))
 
     def step_down(self) -> None:
         """Straight down through the surface and on until the tap is over."""
@@ -115,13 +121,7 @@ def test_without_an_accelerometer_the_path_is_the_proof_of_the_pulse_and_the_end
     start: Start,
 ) -> None:
     talker = Talker(start(simulated=False))
-    plant = Plant(talker)
-    talker.configured(configuration_of(BLIND))
-    plant.step(200)
-    talker.done(m.Pulse(BLIND.pulse_A, PULSE_TICKS, 3))
-    plant.step(6 * (1000 + PULSE_TICKS + 20))
-    talker.heard()
-    found = evidence(talker)
+    found = pulsed(talker, Plant(talker), BLIND)
     assert found.bits == m.PULSE_SOUND
     assert math.isnan(found.acceleration_ratio)
     assert found.path_ratio == pytest.approx(1.0, abs=0.1)
@@ -131,13 +131,7 @@ def test_without_an_accelerometer_the_path_is_the_proof_of_the_pulse_and_the_end
 @pytest.mark.parametrize("encoder", [0.3, 3.0, -1.0, 0.0])
 def test_without_an_accelerometer_a_path_that_is_wrong_proves_nothing(start: Start, encoder: float) -> None:
     talker = Talker(start(simulated=False))
-    plant = Plant(talker, encoder=encoder)
-    talker.configured(configuration_of(BLIND))
-    plant.step(200)
-    talker.done(m.Pulse(BLIND.pulse_A, PULSE_TICKS, 3))
-    plant.step(6 * (1000 + PULSE_TICKS + 20))
-    talker.heard()
-    assert evidence(talker).bits == 0
+    assert pulsed(talker, Plant(talker, encoder=encoder), BLIND).bits == 0
 
 
 @pytest.mark.parametrize(
@@ -179,11 +173,10 @@ def test_a_trial_below_half_its_gain_proves_nothing_though_its_current_flows(
 
 def test_a_second_trial_forgets_the_first_at_its_beginning(start: Start) -> None:
     talker = ready(start)
-    tried(talker, Hand(talker))
+    hand = Hand(talker)
+    tried(talker, hand)
     talker.tell(m.Disarm())
-    talker.step(500, Readings(0, 200, 3.0, 0.0, 0.0))  # an encoder that jumps is a fault
-    talker.tell(m.Reset())
-    talker.step(500, Readings(0, 200, 3.0, 0.0, 0.0))
+    hand.rest(1500)
     talker.heard()
     assert evidence(talker).bits == m.PULSE_SOUND | m.TRIAL_FINISHED
     talker.done(arm(WATCHED, IMAGE, trial=1, gain=0.1))
@@ -200,12 +193,11 @@ def quiet_image(peak_A: float) -> bytes:
 def test_a_trial_of_silence_proves_nothing(start: Start, peak_A: float) -> None:
     """At a tenth of the gain 10 mA are 1 mA, of a hardware of 4.5 A."""
     talker, image = ready(start), quiet_image(peak_A)
-    found = tried(talker, Hand(talker), image=image)
+    hand = Hand(talker)
+    found = tried(talker, hand, image=image)
     assert (found.bits, found.stage) == (m.PULSE_SOUND, Stage.TRIED)
     talker.tell(m.Disarm())
-    talker.step(500, Readings(0, 200, 3.0, 0.0, 0.0))
-    talker.tell(m.Reset())
-    talker.step(500, Readings(0, 200, 3.0, 0.0, 0.0))
+    hand.rest(1500)
     talker.heard()
     assert talker.refused(arm(WATCHED, image)) is Reason.NO_TRIAL
 
@@ -222,18 +214,92 @@ def test_a_trial_is_of_one_library(start: Start) -> None:
     hand = Hand(talker)
     assert tried(talker, hand).bits == m.PULSE_SOUND | m.TRIAL_FINISHED
     talker.tell(m.Disarm())
-    still = Readings(0, 204, 3.0, 0.0, 0.0)
-    talker.step(500, still)
-    talker.tell(m.Reset())
+    hand.rest(1500)
     # The one in force, once more, is not another.
     assert evidence(talker.loaded(IMAGE)).bits == m.PULSE_SOUND | m.TRIAL_FINISHED
     assert evidence(talker.loaded(loud)).bits == m.PULSE_SOUND
-    talker.step(500, still)
+    hand.rest(100)
     talker.heard()
     assert talker.refused(arm(WATCHED, loud)) is Reason.NO_TRIAL
-    # Too soon after the reset for another comparison: it need not be made again.
+    # Too soon after the motion for another comparison: it need not be made again.
     talker.done(arm(WATCHED, loud, trial=1, gain=0.1))
     down = Hand(talker)
     down.step_down()
     found = evidence(talker)
     assert found.bits == m.PULSE_SOUND | m.TRIAL_FINISHED
+
+
+STILL = Readings(0, 204, 3.0, 0.0, 0.0)
+OF_CABLES = {
+    Fault.BAD_SENSOR: replace(STILL, current_A=math.nan),
+    Fault.ENCODER_JUMP: replace(STILL, encoder_counts=704),
+    Fault.OVER_CURRENT: replace(STILL, current_A=5.5),
+    Fault.WRONG_CURRENT: replace(STILL, current_A=2.0),
+}
+OF_OTHERS = {
+    Fault.EMERGENCY_STOP: replace(STILL, emergency_stop=True),
+    Fault.LATE_TICK: replace(STILL, late=True),
+    Fault.GRIP_OPEN: replace(STILL, grip_N=math.nan),
+}
+
+
+def checked(start: Start, settings: Settings = WATCHED) -> Talker:
+    """A device at rest with all evidence."""
+    talker = Talker(start(simulated=False))
+    assert pulsed(talker, Plant(talker), settings).bits == m.PULSE_SOUND
+    hand = Hand(talker)
+    assert tried(talker, hand, settings).bits == m.PULSE_SOUND | m.TRIAL_FINISHED
+    talker.tell(m.Disarm())
+    hand.rest(1500)
+    talker.heard()
+    return talker
+
+
+@pytest.mark.parametrize("fault", [*OF_CABLES, *OF_OTHERS], ids=lambda fault: fault.name)
+def test_a_fault_at_a_cable_takes_the_evidence_and_the_check_brings_it_back(start: Start, fault: Fault) -> None:
+    talker = checked(start)
+    talker.step(30, {**OF_CABLES, **OF_OTHERS}[fault])
+    assert talker.device.look().fault is fault
+    talker.step(500, STILL)
+    talker.heard()
+    talker.done(m.Reset())
+    talker.step(500, STILL)
+    talker.heard()
+    if fault in OF_OTHERS:
+        talker.done(arm(WATCHED, IMAGE))
+        return
+    assert (evidence(talker).bits, evidence(talker).stage) == (0, Stage.NOTHING)
+    assert talker.refused(arm(WATCHED, IMAGE)) is Reason.NO_PULSE
+    # What the message says to do, without another configuration.
+    assert pulses(talker, Plant(talker)).bits == m.PULSE_SOUND
+    assert tried(talker, Hand(talker)).bits == m.PULSE_SOUND | m.TRIAL_FINISHED
+
+
+def test_motor_leads_that_are_crossed_at_the_repair_are_not_armed(start: Start) -> None:
+    talker = checked(start)
+    talker.step(1, OF_CABLES[Fault.BAD_SENSOR])
+    talker.step(500, STILL)
+    talker.heard()
+    talker.done(m.Reset())
+    assert pulses(talker, Plant(talker, accelerometer=-1.0)).bits == 0
+    assert talker.refused(arm(WATCHED, IMAGE, trial=1, gain=0.1)) is Reason.NO_PULSE
+
+
+def test_one_open_channel_of_the_encoder_ends_the_push_of_a_wall_and_takes_the_evidence(start: Start) -> None:
+    """In the wall its counts go back and forth between two while the stylus is drawn out by the hand."""
+    settings = replace(BLIND, wall=Wall(1000.0, 1.0, 1.25, 1, 500.0))
+    talker = checked(start, settings)
+    talker.done(arm(settings, IMAGE, lease_ms=1000))
+    flows_A = 0.0
+    for tick in range(14_000):
+        if tick % 5000 == 0:
+            talker.tell(talker.lease())
+            talker.heard()
+        counts = 204 - min(tick // 10, 284) + (tick % 2 if tick >= 3000 else 0)
+        output = talker.step(1, Readings(0, counts, 3.0, flows_A, 0.0))
+        flows_A = 0.517 * flows_A + 0.483 * output.command_A
+        if output.state is State.FAULT:
+            break
+    assert tick - 3000 <= settings.ticks(settings.stuck_s)
+    assert talker.device.look().fault is Fault.ENCODER_STUCK
+    assert evidence(talker).bits == 0

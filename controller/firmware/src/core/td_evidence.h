@@ -1,4 +1,5 @@
-/* Evidence that a device has gathered since its start under its configuration: sound pulses, a finished trial.
+/* Evidence that a device has gathered under its configuration since its start, and since the last of TD_EVIDENCE_FAULTS:
+ * sound pulses, a finished trial.
  *
  * The device itself verifies its wiring; it does not rely on a host's word. Pulses whose current, acceleration and path a
  * model predicts verify amplifier, monitor, motor, accelerometer and encoder; a trial tap compares the encoder's scale

@@ -23,6 +23,7 @@
 #define TD_RECORDS_LIMIT 29 /* records in one TELEMETRY_DATA */
 #define TD_PULSE_SOUND 1 /* bit of evidence */
 #define TD_TRIAL_FINISHED 2 /* bit of evidence */
+#define TD_EVIDENCE_FAULTS 0x318Eu /* bits, see td_fault_bit */
 #define TD_RECORD_NO_COUNTS INT32_MIN /* of an encoder that gave no number */
 
 /* Kind of a frame */

@@ -107,13 +107,17 @@ static td_wide least_of_trial_A(const td_device *device)
     return of_library > of_hardware ? of_library : of_hardware;
 }
 
-/* Gather the evidence of a trial. */
+/* Gather evidence; a fault whose remedy is at a cable takes it, since what is plugged in anew may be reversed. */
 static void witness(td_device *device, const td_readings *seen, const td_output *output)
 {
     const td_config *config = &device->store.config;
     const td_watch *watch = &device->servo.watch;
     int32_t j;
 
+    if (device->servo.latched & TD_EVIDENCE_FAULTS) {
+        td_evidence_start(&device->evidence);
+        return;
+    }
     td_evidence_see(&device->evidence, config, seen);
     if (!device->trial)
         return;
