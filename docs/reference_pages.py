@@ -20,7 +20,9 @@ from controller.servo.rules import (
     QUIET_M_S2,
     QUIET_SWING_A,
     STUCK_COUNTS,
+    STUCK_HELD,
     STUCK_LEAST_M,
+    STUCK_TURNS,
     WRONG_CURRENT_A,
     WRONG_CURRENT_PART,
     WRONG_CURRENT_S,
@@ -57,9 +59,10 @@ SEEN_WHEN = {
     Fault.OVER_TEMPERATURE: "the estimated winding is above its limit, or no number",
     Fault.ENCODER_JUMP: "the encoder moves faster than {fastest_m_s} m/s",
     Fault.ENCODER_STUCK: (
-        "{stuck_A_s} A s of a transient pass without a count of the encoder, or {stuck_s} s above {stuck_A} A while it stays "
-        f"within two neighbouring counts; or, while a transient plays or more than {{stuck_A}} A flow, a motion of "
-        f"{STUCK_COUNTS:g} counts and {1e3 * STUCK_LEAST_M:g} mm by the accelerometer"
+        "{stuck_A_s} A s of a transient pass without a count of the encoder, or {stuck_s} s above {stuck_A} A, and as long with "
+        f"{STUCK_TURNS} turns between two neighbouring counts, as one with a single channel makes; or, by the accelerometer, a motion of "
+        f"{STUCK_COUNTS:g} counts and {1e3 * STUCK_LEAST_M:g} mm while a transient plays, {STUCK_HELD:g} times as much "
+        "while more than {stuck_A} A flow in a wall"
     ),
     Fault.NO_CURRENT: (
         "for {no_current_s} s less than {no_current_part} of the expected current flows, where that is "

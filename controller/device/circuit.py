@@ -16,7 +16,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from controller.servo.settings import DELAY_TICKS, ROUNDED_TICKS
+from controller.servo.settings import DELAY_TICKS, LONGEST_DT_S, ROUNDED_TICKS, SHORTEST_DT_S
 from transopt.base.errors import InputError
 from transopt.base.section import Finite, Positive, Section, Words
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
@@ -30,7 +30,8 @@ E24 = (
 E96 = tuple(round(10 ** (k / 96), 2) for k in range(96))
 BASE_OHM = 10e3  # of the resistors: little noise, and a load that any operational amplifier drives
 RAIL_COUNTS = 8  # so near to an end of the converter's range there is no number
-HEADROOM = 0.97  # of a converter's range that command and over-current may take
+HEADROOM = 0.97  # of a converter's range that the over-current may take
+OUTPUT_ROOM_V = 0.2  # that a converter's output buffer keeps from either rail (STM32F405, DS8626: DAC_OUT with the buffer on)
 OVER_CURRENT = 1.3  # on the largest current: above what a check and a tap overshoot by, below what harms
 POLE_ROOM = 1.5  # by which the amplifier's pole may differ from the stated one, up and down
 # Table -> unit of its sensor, and the reaches of such sensors: beyond them another unit was stated.
@@ -115,7 +116,7 @@ class Circuit(Section):
     name: Words
     motor: str
     transmission: str
-    dt_s: Positive = 1e-4
+    dt_s: float = Field(1e-4, ge=SHORTEST_DT_S, le=LONGEST_DT_S)
     resistors: Part = Field(0.01, description="tolerance of the resistors")
     converter: Converter = Converter()
     power: Power
@@ -359,7 +360,7 @@ def _need_room(circuit: Circuit, A_per_V: float, zero_V: float) -> None:
     InputError : a command beyond what the converter puts out, or so small a part of it that counts are coarse.
     """
     supply_V, command_A = circuit.converter.supply_V, circuit.power.command_A
-    reach_A = HEADROOM * min(zero_V, supply_V - zero_V) * A_per_V
+    reach_A = (min(zero_V, supply_V - zero_V) - OUTPUT_ROOM_V) * A_per_V
     if command_A > reach_A:
         raise InputError(
             f"power.command_A = {command_A:g} A: the circuit puts out up to {reach_A:.3g} A: set fewer volts per "

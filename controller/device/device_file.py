@@ -14,11 +14,10 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from controller.servo.settings import SCALE_LEAST, SCALE_MOST, Settings
+from controller.servo.settings import LONGEST_DT_S, SCALE_LEAST, SCALE_MOST, SHORTEST_DT_S, Settings
 from transopt.base.section import Positive, Section, Words
 
 FINEST_COUNT_M, COARSEST_COUNT_M = 1e-6, 1e-4
-SHORTEST_DT_S, LONGEST_DT_S = 5e-5, 1e-3
 MOST_COUNTS = 1e6
 GRIP_N = 50.0  # what a hand does
 LEAST_RANGE_G, MOST_RANGE_G = 1.0, 1000.0  # of an accelerometer; the least one shows gravity, and taps of little more

@@ -29,8 +29,12 @@ class Fault(Enum):
     EMERGENCY_STOP = "emergency stop: release it, then reset"
     HOST_STOP = "the host has stopped the device: reset when it may go on"
     LATE_TICK = "a servo period came late: report this, then reset"
-    WRONG_CURRENT = "another current flows than was commanded: check amplifier, supply and monitor, reset, then `check`"
-    ACCELEROMETER_DEAD = "current shakes the stylus but the accelerometer is silent: check its cable, reset, then `check`"
+    WRONG_CURRENT = (
+        "another current flows than was commanded: check amplifier, supply and monitor, reset, then `check`"
+    )
+    ACCELEROMETER_DEAD = (
+        "current shakes the stylus but the accelerometer is silent: check its cable, reset, then `check`"
+    )
 
 
 class Notice(Enum):

@@ -16,6 +16,7 @@ from transopt.problem.limits.slew import SlewLimit
 from transopt.problem.warm_coil import LEAST_SCALE, WITHHOLD_K
 
 SCALE_LEAST, SCALE_MOST = 0.2, 5.0  # range of |scale| in a calibration: beyond it something else is wrong
+SHORTEST_DT_S, LONGEST_DT_S = 5e-5, 1e-3  # servo periods of 20 to 1 kHz
 PULSE_NODES = 4
 DELAY_TICKS = 4  # largest delay of an amplifier in servo periods
 ROUNDED_TICKS = 1e-9

@@ -72,6 +72,26 @@ class Truth:
         return replace(self, **{n: getattr(self, n) * float(f) for n, f in zip(names, factors, strict=True)})
 
 
+class OpenChannel:
+    """What a decoder of all four edges counts from the moment on at which channel B has lost its wire and stays as it is.
+
+    Parameters
+    ----------
+    counts : at that moment. Of channel A's edges each is then the step forth or back of the one before.
+    """
+
+    def __init__(self, counts: int) -> None:
+        self._counts, self._a, self._step = counts, self._level(counts + 1), 1 - 2 * self._level(counts)
+
+    @staticmethod
+    def _level(counts: int) -> int:
+        return counts >> 1 & 1
+
+    def counts(self, true: int) -> int:
+        """Its count at this one of a whole encoder."""
+        return self._counts + self._step * (self._level(true + 1) - self._a)
+
+
 @dataclass(frozen=True)
 class Wires:
     """What is wired, and how wrong: factors of each part, 0 for a dead one, below 0 for a reversed one.
@@ -79,6 +99,7 @@ class Wires:
     Attributes
     ----------
     motor : of the force. amplifier : of the current. monitor, encoder, accelerometer, grip : of what is read.
+    open_channel : whether the encoder's channel B is off from the start on.
     stuck_grip_N : what the grip sensor reads whatever happens; None reads.
     swapped : two analog inputs that are exchanged, of `current_A`, `acceleration_m_s2`, `grip_N`.
     """
@@ -89,6 +110,7 @@ class Wires:
     encoder: float = 1.0
     accelerometer: float = 1.0
     grip: float = 1.0
+    open_channel: bool = False
     stuck_grip_N: float | None = None
     swapped: tuple[str, str] | None = None
 
@@ -169,6 +191,7 @@ class OwnWorld:
             sensing or Sensing(),
         )
         self._random = np.random.default_rng(seed)
+        self._channel: OpenChannel | None = None
         self._noise = iter(())  # type: ignore[var-annotated]
         self._flows: dict[float, tuple[FloatArray, FloatArray, FloatArray]] = {}
         self._tremor = [(tremor * size, 2 * math.pi * f, self._random.uniform(0, 6.28)) for size, f in TREMOR]
@@ -208,6 +231,9 @@ class OwnWorld:
     def readings(self, tick: int) -> Readings:
         s, w, x = self.sensing, self.wires, self._x.tolist()  # floats, whose arithmetic is faster than an array's
         counts = math.floor(w.encoder * x[Z1] / s.count_m + 0.5) + s.surface_counts
+        if w.open_channel:
+            self._channel = self._channel or OpenChannel(counts)
+            counts = self._channel.counts(counts)
         grip = self.grip_N + self.weight_N if w.stuck_grip_N is None else w.stuck_grip_N
         dead = w.accelerometer == 0
         analog = {

@@ -27,6 +27,7 @@ from controller.sim.user import TapUser, Tremor
 from controller.waveforms.bank import Bank, bank
 from tests.benches.oracle.crosscheck import Crosscheck
 from tests.benches.oracle.servo import Servo
+from tests.benches.own_device import OpenChannel
 from tests.campaigns.harness import LibraryFile, Seed, at_least, library_of, long_form
 from transopt.library.library import Library
 from transopt.plant.intention import Intention
@@ -47,6 +48,7 @@ class Injection:
     ----------
     readings : what the sensors say instead; a function takes the true readings.
     open_circuit : the command reaches no coil. heat_K : the servo's estimate is put this much above the limit.
+    channel : the encoder loses one of its two channels.
     within : ticks about the contact between which the instant is drawn; everything without.
     """
 
@@ -55,6 +57,7 @@ class Injection:
     readings: dict[str, Any] | Callable[[Readings], dict[str, Any]]
     open_circuit: bool = False
     heat_K: float | None = None
+    channel: bool = False
     within: tuple[int, int] | None = None
 
 
@@ -72,6 +75,7 @@ INJECTIONS = (
     Injection("no current", Fault.NO_CURRENT, {}, open_circuit=True, within=(-20, 20)),
     Injection("over-temperature", Fault.OVER_TEMPERATURE, {}, heat_K=1.0),
     Injection("encoder stuck", Fault.ENCODER_STUCK, {}, within=STUCK_WITHIN),
+    Injection("encoder channel open", Fault.ENCODER_STUCK, {}, within=STUCK_WITHIN, channel=True),
 )
 
 
@@ -90,6 +94,7 @@ class Detectable:
     def __init__(self, servo: Servo, kind: Fault) -> None:
         self._servo, self._kind, self._ticks, self._impulse_A_s, self._counts = servo, kind, 0, 0.0, math.nan
         self._crosscheck = Crosscheck(servo.settings)
+        self._low: int | None = None
 
     def step(self, readings: Readings, before: Output | None) -> bool:
         s = self._servo.settings
@@ -103,10 +108,13 @@ class Detectable:
             self._impulse_A_s = (
                 self._impulse_A_s + played * s.dt_s if readings.encoder_counts == self._counts else 0.0
             )
-            moved = 0 if math.isnan(self._counts) else int(readings.encoder_counts - self._counts)
-            self._counts = readings.encoder_counts
+            counts = int(readings.encoder_counts)
+            before_low = counts if self._low is None else self._low
+            # An encoder that goes back and forth between two counts has not moved.
+            self._low = min(max(before_low, counts - 1), counts)
+            self._counts = counts
             playing = self._servo.state is State.PLAYING
-            self._crosscheck.step(moved, readings.acceleration_m_s2, readings.current_A, playing)
+            self._crosscheck.step(self._low - before_low, readings.acceleration_m_s2, readings.current_A, playing)
             return abs(self._impulse_A_s) >= s.stuck_A_s or self._crosscheck.stuck
         if self._kind is Fault.GRIP_LOST:
             return self._servo.state is State.PLAYING
@@ -152,7 +160,8 @@ def inject(library: Library, table: Bank, injection: Injection, seed: int) -> Ou
                 held = readings.encoder_counts
             change = injection.readings if isinstance(injection.readings, dict) else injection.readings(readings)
             if injection.fault is Fault.ENCODER_STUCK:
-                change = {"encoder_counts": held}
+                open_channel = OpenChannel(int(held)).counts(int(readings.encoder_counts))
+                change = {"encoder_counts": open_channel if injection.channel else held}
             readings = replace(readings, **change)
             if injection.heat_K is not None and servo.guard is not None:
                 servo.guard.winding_C = servo.guard.limit_C + injection.heat_K

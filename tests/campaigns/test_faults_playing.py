@@ -6,7 +6,7 @@
 A device with equations of its own (`common.own_device`) stands behind the compiled core: parameters off by 10 %,
 amplifier and monitor each off by 10 %, so that 22 % lie between command and reading, noise, and a PWM ripple that
 every reading catches at another phase. Into taps at 0.3 m/s comes one fault each: an amplifier that stops at 1 A, a
-current monitor that reads twice, one that is stuck, a stuck encoder, a dead accelerometer; before the contact in
+current monitor that reads twice, one that is stuck, a stuck encoder, one with a single channel, a dead accelerometer; before the contact in
 every third run, else in its first 10 ms, at an instant from which it can be told.
 
 What can be told is counted here, from the truth and from the readings alone: 2 ms of a current that is 0.3 A and 30
@@ -27,14 +27,16 @@ from typer import Option
 from controller.device.device_file import Accelerometer, DeviceFile
 from controller.host.payload import Payload, payload_of
 from controller.protocol import messages as m
+from controller.protocol.configuration import configuration_of
 from controller.protocol.image import sha256
 from controller.servo.interface import Fault, Notice, Output, Readings, State
 from tests.benches.device import Talker
-from tests.benches.own_device import Z1, OwnWorld, Truth, Wires
+from tests.benches.own_device import ABOVE_M, Z1, OpenChannel, OwnWorld, Truth, Wires, eased
 from tests.benches.probed import ProbedDevice
 from tests.campaigns.harness import JsonFile, LibraryFile, Seed, at_least, library_of, long_form, show, write_json
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.library.library import Library
+from transopt.plant.wall import Wall
 
 DT_S = 1e-4
 OFF, RIPPLE_A = 0.1, 0.1
@@ -45,6 +47,7 @@ SWING_A, SILENT_S = 1.0, 5e-3
 ATTEMPTS = 20  # at a fault that can be told
 LATEST_S = 1.2  # of a tap, from the moment when the person is asked for it
 LEASE_TICKS, REST_TICKS = 500, 300
+DEEP_M, IN_S, STAY_S, OUT_S = -8e-3, 2.0, 2.0, 0.3  # where a hand means to be that presses into a wall, and how long
 LEVEL = DeviceFile(name="trial", accelerometer=Accelerometer(rest_m_s2=STANDARD_GRAVITY_M_S2))
 FLAGS: dict[bool, tuple[str, ...]] = {False: (), True: ("-DTD_REAL_FLOAT",)}
 
@@ -90,13 +93,15 @@ class Broken(OwnWorld):
         if not self.broken:
             self.kept = true
             return true
-        held = true if self.kept is None else self.kept
-        self.kept = held
+        self.kept = held = self.kept or true
         changes: dict[str, Callable[[], Readings]] = {
             "amplifier stops": lambda: true,
             "monitor twice": lambda: replace(true, current_A=2 * true.current_A),
             "monitor stuck": lambda: replace(true, current_A=held.current_A),
             "encoder stuck": lambda: replace(true, encoder_counts=held.encoder_counts),
+            "encoder channel open": lambda: replace(
+                true, encoder_counts=OpenChannel(held.encoder_counts).counts(true.encoder_counts)
+            ),
             "accelerometer dead": lambda: replace(true, acceleration_m_s2=held.acceleration_m_s2),
         }
         return changes[self.kind]()
@@ -145,6 +150,7 @@ KINDS: dict[str, tuple[Fault, Callable[[Seen, float], int | None]]] = {
     "monitor twice": (Fault.WRONG_CURRENT, lambda seen, _: excess(seen)),
     "monitor stuck": (Fault.WRONG_CURRENT, lambda seen, _: excess(seen)),
     "encoder stuck": (Fault.ENCODER_STUCK, moved),
+    "encoder channel open": (Fault.ENCODER_STUCK, moved),
     "accelerometer dead": (Fault.ACCELEROMETER_DEAD, lambda seen, _: silent(seen)),
 }
 # Less than a quarter of what is expected, and more than the limit by a fourth, are known sooner by other names.
@@ -192,6 +198,34 @@ def tapped(given: Payload, world: Broken, speed_m_s: float, single: bool) -> See
     return seen
 
 
+def pressed(given: Payload, world: OwnWorld, wall: Wall, tilt_m_s2: float = 0.0, single: bool = False) -> Fault | None:
+    """The fault of a sound device whose hand goes slowly into a wall, stays, and comes out; None for none.
+
+    Parameters
+    ----------
+    tilt_m_s2 : by which gravity along the accelerometer changes meanwhile, back and forth once a second.
+    """
+    settings = replace(given.settings, wall=wall)
+    configuration = configuration_of(settings)
+    talker = Talker(ProbedDevice(1, flags=FLAGS[single], simulated=True))
+    assert isinstance(talker.configure(configuration), m.Done)
+    talker.loaded(given.image)
+    world.path_m = lambda t: DEEP_M + (ABOVE_M - DEEP_M) * (1 - eased(t / IN_S) + eased((t - IN_S - STAY_S) / OUT_S))
+    for tick in range(round((IN_S + STAY_S + 2 * OUT_S) / DT_S)):
+        if tick == REST_TICKS:
+            talker.done(m.Arm(0, 1000, 1.0, sha256(configuration), sha256(given.image)))
+        if tick % LEASE_TICKS == 0:
+            talker.tell(talker.lease())
+        readings = world.readings(tick)
+        tilted = readings.acceleration_m_s2 + tilt_m_s2 * math.sin(2 * math.pi * world.now_s)
+        output = talker.device.step(replace(readings, acceleration_m_s2=tilted))
+        faults = [event.what for event in output.events if isinstance(event.what, Fault)]
+        if faults:
+            return faults[0]
+        world.advance(output)
+    return None
+
+
 def sound_world(random: np.random.Generator, kind: str, at: int, grip_N: float, seed: int) -> Broken:
     """A device with every parameter, amplifier and monitor off by up to 10 %, the last two all the way."""
     wires = Wires(
@@ -208,7 +242,7 @@ def faulty(given: Payload, kind: str, run: int, seed: int, single: bool) -> tupl
     fault, told = KINDS[kind]
     for _ in range(ATTEMPTS):
         at = -1 if run % 3 == 0 else int(random.integers(round(WITHIN_S / DT_S)))
-        if kind == "encoder stuck" and at < 0:
+        if kind.startswith("encoder") and at < 0:
             at = 0  # without an approach there is no contact, and nothing plays
         world = sound_world(random, kind, at, float(random.choice([1.0, 2.0, 3.0, 5.0])), run)
         seen = tapped(given, world, SPEED_M_S, single)
@@ -276,3 +310,12 @@ def test_a_sound_device_plays_to_its_end(library: Library, c_compiler: None) -> 
     world = sound_world(np.random.default_rng(1), "", -1, 3.0, 0)
     seen = tapped(given_of(library), world, SPEED_M_S, single=False)
     assert (seen.fault, seen.finished) == (None, True)
+
+
+@pytest.mark.parametrize("stiffness_N_m", [300.0, 2000.0])
+def test_a_sound_device_is_held_in_a_wall_by_a_hand_that_tilts(
+    library: Library, c_compiler: None, stiffness_N_m: float
+) -> None:
+    world = sound_world(np.random.default_rng(1), "", -1, 3.0, 0)
+    wall = Wall(stiffness_N_m, 1.0, 1.25, 1, 500.0)
+    assert pressed(given_of(library), world, wall, tilt_m_s2=3.0) is None

@@ -126,6 +126,7 @@ def cases(seed: int) -> list[Case]:
         for one, other in itertools.combinations(INPUTS, 2)
     ]
     swapped += [
+        Case("encoder with one channel", Wires(open_channel=True), ("encoder",)),
         Case("motor leads and encoder channels exchanged", Wires(motor=-1.0, encoder=-1.0), ("motor", "encoder")),
         Case("motor leads and monitor exchanged", Wires(motor=-1.0, monitor=-1.0), ("motor", "monitor", "amplifier")),
     ]
@@ -229,7 +230,7 @@ def main(
 test_long_form = long_form(main)
 
 
-SHORT = ("amplifier x 3, monitor x 1/3", "sound, every parameter within 10 %, 2")
+SHORT = ("amplifier x 3, monitor x 1/3", "sound, every parameter within 10 %, 2", "encoder with one channel")
 # Errors that hide each other, and a sound device; a part that is dead and a wrong scale: `test_bringup.py`.
 QUICK = [case for case in cases(0) if case.name in SHORT]
 

@@ -28,7 +28,8 @@ void board_start_ticks(void);
 
 /* ---- in the tick ---- */
 
-/* A counter that never stops, and how much it counts in one servo period. */
+/* A counter that never stops, not while the processor sleeps in board_wait either, and how much it counts in one servo
+ * period. */
 uint32_t board_cycles(void);
 uint32_t board_period_cycles(void);
 

@@ -17,6 +17,7 @@ from controller.servo.rules import (
     QUIET_PUSH_M_S2,
     QUIET_SWING_A,
     STUCK_COUNTS,
+    STUCK_HELD,
     STUCK_LEAST_M,
 )
 from controller.servo.settings import Settings
@@ -62,7 +63,8 @@ class Crosscheck:
         if playing or abs(current_A) >= self._stuck_A:
             self._listen(acceleration, current_A, playing)
             # A dead accelerometer takes the end of a motion for its going on.
-            self.stuck = abs(self.path_m) >= self._stuck_m and self._heard() >= DEAD_M_S2 * DEAD_M_S2
+            least_m = (1.0 if playing else STUCK_HELD) * self._stuck_m
+            self.stuck = abs(self.path_m) >= least_m and self._heard() >= DEAD_M_S2 * DEAD_M_S2
         elif self._whole or self._ticks:
             self.forget()
 

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from controller.servo.interface import Fault, Readings
-from controller.servo.rules import FEWEST_TICKS, WRONG_CURRENT_A, WRONG_CURRENT_PART, WRONG_CURRENT_S
+from controller.servo.rules import FEWEST_TICKS, STUCK_TURNS, WRONG_CURRENT_A, WRONG_CURRENT_PART, WRONG_CURRENT_S
 from controller.servo.settings import Settings
 from tests.benches.oracle.crosscheck import Crosscheck
 from tests.benches.oracle.guard import Guard
@@ -22,8 +22,9 @@ class Watch:
     raw_grip_N : as read. step_m_s : speed of the encoder over the last tick.
     expected_A : current that the amplifier model expects now, its whole ticks of delay included.
     missing_ticks : for so long far less current than expected was measured.
-    low_counts : still is an encoder that stays within these counts and one more, as one with a single channel does.
-    still_ticks : with current on a still encoder. still_A_s : impulse of the transient since the last count.
+    low_counts : of the two neighbouring counts that the encoder is at.
+    still_ticks, still_A_s : since the last count: ticks with current, impulse of the transient.
+    turns, turn_ticks : back and forth between the two counts under current, and for so long.
     wrong, wrong_ticks : another current than expected was measured in the last tick, and for so long.
     crosscheck : what encoder, accelerometer and current say of each other.
     """
@@ -49,9 +50,15 @@ class Watch:
 
     def forget(self) -> None:
         """Start every duration anew."""
-        self.missing_ticks = self.still_ticks = self.wrong_ticks = 0
+        self.missing_ticks = self.still_ticks = self.turns = self.turn_ticks = self.wrong_ticks = 0
         self.still_A_s = 0.0
         self.crosscheck.forget()
+
+    @property
+    def turns_back(self) -> bool:
+        """Whether the encoder went so often, and no further, for the time of a still one; an excitation may shake it."""
+        often = self.turns >= STUCK_TURNS and not self.settings.host_starts
+        return often and self.turn_ticks >= self.still_limit
 
     def step(self, readings: Readings, expected_A: float, transient_A: float, playing: bool, held: bool) -> None:
         """One tick.
@@ -89,10 +96,16 @@ class Watch:
         self.wrong = abs(self.current_A - expected_A) > WRONG_CURRENT_A + WRONG_CURRENT_PART * expected
         self.wrong_ticks = self.wrong_ticks + 1 if self.wrong else 0
         self.crosscheck.step(left, readings.acceleration_m_s2, self.current_A, playing)
-        self.still_ticks = self.still_ticks + 1 if left == 0 and size >= s.stuck_A else 0
+        over = self.turn_ticks >= self.still_limit
+        if left != 0 or not size >= s.stuck_A or (over and not self.turns_back):
+            self.turns = self.turn_ticks = 0
+        elif not over:
+            self.turn_ticks += 1
         if moved != 0:
-            self.still_A_s = 0.0
+            self.turns += 1
+            self.still_ticks, self.still_A_s = 0, 0.0
         else:
+            self.still_ticks = self.still_ticks + 1 if size >= s.stuck_A else 0
             # A slow tail of the transient may well be held still by the hand; its strokes cannot.
             self.still_A_s += transient_A * s.dt_s if abs(transient_A) >= s.stuck_A else 0.0
 
@@ -134,7 +147,12 @@ FAULTS = (
     _rule(Fault.ENCODER_JUMP, lambda w: not -w.settings.fastest_m_s <= w.step_m_s <= w.settings.fastest_m_s),
     _rule(
         Fault.ENCODER_STUCK,
-        lambda w: w.still_ticks >= w.still_limit or abs(w.still_A_s) >= w.settings.stuck_A_s or w.crosscheck.stuck,
+        lambda w: (
+            w.still_ticks >= w.still_limit
+            or abs(w.still_A_s) >= w.settings.stuck_A_s
+            or w.turns_back
+            or w.crosscheck.stuck
+        ),
     ),
     _rule(Fault.NO_CURRENT, lambda w: w.missing_ticks >= w.missing_limit),
     _rule(Fault.WRONG_CURRENT, lambda w: w.wrong_ticks >= w.wrong_limit, lambda w: w.wrong),

@@ -291,7 +291,7 @@ def test_the_command_writes_all_three_and_says_what_to_solder(play: Run, monkeyp
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("command_A = 6.0", "command_A = 12.0", "power.command_A = 12 A: the circuit puts out up to 9.66 A"),
+        ("command_A = 6.0", "command_A = 12.0", "power.command_A = 12 A: the circuit puts out up to 8.75 A"),
         ("delay_s = 68e-6", "delay_s = 5e-4", "power.delay_s = 0.5 ms: must be 0.4 ms at most, 4 servo periods"),
         ("input_V = 10.0", "input_V = 3.0", "servo.input_V = 3 V: must be 3.46 V or more"),
         (

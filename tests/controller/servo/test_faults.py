@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from controller.servo.interface import Fault, State
+from controller.servo.interface import Fault, Readings, State
 from controller.servo.settings import Settings
 from controller.waveforms.bank import Bank
+from tests.benches.oracle.faults import FAULTS, Watch
 from tests.benches.servo import CONTACT, WALL, Bench, tap_m
 
 
@@ -93,6 +94,31 @@ def test_stuck_encoder(stated: Settings, tables: Bank) -> None:
     assert pressed.current_A > 0.5
     pressed.run(800)
     assert pressed.servo.fault is Fault.ENCODER_STUCK
+
+
+@pytest.mark.parametrize(("every", "host_starts", "stuck"), [(10, False, True), (500, False, False), (10, True, False)])
+def test_an_encoder_with_one_channel_is_stuck_and_a_trembling_edge_is_none(
+    stated: Settings, every: int, host_starts: bool, stuck: bool
+) -> None:
+    """Back and forth between two counts under current: a stylus that goes 5 cm in a second, a hand that trembles by 10 Hz.
+
+    An excitation may shake a rotor that is blocked.
+    """
+    settings = replace(stated, host_starts=host_starts, wall=None)
+    watch = Watch(settings, None)
+    for k in range(30_000):
+        watch.step(Readings(k, k // every % 2, 3.0, 1.0, 0.0), 1.0, 0.0, playing=False, held=False)
+        if any(rule.trips(watch) for rule in FAULTS):
+            break
+    assert [rule.fault for rule in FAULTS if rule.trips(watch)] == ([Fault.ENCODER_STUCK] if stuck else [])
+    assert k == (settings.ticks(settings.stuck_s) - 1 if stuck else 29_999)
+
+
+def test_an_encoder_that_leaves_its_two_counts_is_not_stuck(stated: Settings) -> None:
+    watch = Watch(stated, None)
+    for k in range(20_000):
+        watch.step(Readings(k, (0, 1, 2, 1)[k // 10 % 4], 3.0, 1.0, 0.0), 1.0, 0.0, playing=False, held=False)
+        assert watch.turns < 4
 
 
 def test_over_temperature_needs_cooling_before_the_reset(stated: Settings, tables: Bank) -> None:

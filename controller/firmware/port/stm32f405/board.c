@@ -4,7 +4,7 @@
  *     PA9, PA10   serial port out, in (USART1)      PC1  grip sensor
  *     PA4         command (DAC 1)                   PC2  accelerometer
  *     PB13        enable of the amplifier, high: on; wants 10 kOhm to ground for the time of booting
- *     PB14        alive: changes every tick, for a retriggerable monostable of 1 ms in the enable's line
+ *     PB14        alive: changes every tick, for a retriggerable monostable of 10 servo periods (1 ms) in the enable's line
  *     PB12        emergency stop: contact to ground, opens when pressed
  *
  * TIM4 starts the three conversions, and their end is the tick: nothing waits for a converter, and readings are 6 us old.
@@ -92,7 +92,7 @@ static void start_clocks(void)
 static void start_outputs(void)
 {
     RCC_AHB1ENR |= RCC_AHB1ENR_GPIOA | RCC_AHB1ENR_GPIOB | RCC_AHB1ENR_GPIOC | RCC_AHB1ENR_DMA2;
-    RCC_APB1ENR |= RCC_APB1ENR_TIM2 | RCC_APB1ENR_TIM4 | RCC_APB1ENR_PWR | RCC_APB1ENR_DAC;
+    RCC_APB1ENR |= RCC_APB1ENR_TIM2 | RCC_APB1ENR_TIM4 | RCC_APB1ENR_TIM5 | RCC_APB1ENR_PWR | RCC_APB1ENR_DAC;
     RCC_APB2ENR |= RCC_APB2ENR_USART1 | RCC_APB2ENR_ADC1;
     (void)RCC_APB2ENR; /* a register's clock is on two of its periods later */
     GPIO_BSRR(GPIOB) = 1u << (PIN_ENABLE + 16u);
@@ -101,6 +101,17 @@ static void start_outputs(void)
     DAC_DHR12R1 = (uint32_t)OUTPUT_ZERO;
     set_mode(GPIOA, 4u, GPIO_ANALOGUE);
     DAC_CR = DAC_CR_EN1;
+}
+
+/* TIM4 counts 16 bits: periods above 0.78 ms are divided before it. What is written comes into force by the update, which
+ * starts no conversion as long as the converter does not listen to it. */
+static void set_period(void)
+{
+    const uint32_t counts = (uint32_t)(HARDWARE.dt_s * TIMER_HZ + 0.5), divider = (counts - 1u) / 65536u + 1u;
+
+    TIM_PSC(TIM4) = divider - 1u;
+    TIM_ARR(TIM4) = (counts + divider / 2u) / divider - 1u;
+    TIM_EGR(TIM4) = TIM_EGR_UG;
 }
 
 static void start_inputs(void)
@@ -113,6 +124,7 @@ static void start_inputs(void)
     TIM_SMCR(TIM2) = TIM_SMCR_ENCODER_3;
     TIM_ARR(TIM2) = BLANK;
     TIM_CR1(TIM2) = TIM_CR1_CEN;
+    set_period();
     set_mode(GPIOC, 0u, GPIO_ANALOGUE);
     set_mode(GPIOC, 1u, GPIO_ANALOGUE);
     set_mode(GPIOC, 2u, GPIO_ANALOGUE);
@@ -149,8 +161,8 @@ void board_start(void)
     start_outputs();
     start_supply_watch();
     start_clocks();
-    DEMCR |= DEMCR_TRCENA;
-    DWT_CTRL |= DWT_CTRL_CYCCNTENA;
+    TIM_ARR(TIM5) = BLANK;
+    TIM_CR1(TIM5) = TIM_CR1_CEN;
     PWR_CR |= PWR_CR_DBP;
     start_inputs();
     start_serial();
@@ -195,7 +207,6 @@ void board_start_ticks(void)
     IWDG_RLR = 400; /* of 4 periods of the oscillator: 34 to 94 ms */
     NVIC_IPR(IRQ_ADC) = TICK_PRIORITY;
     NVIC_ISER(IRQ_ADC) = 1u << (IRQ_ADC % 32u);
-    TIM_ARR(TIM4) = (uint32_t)(HARDWARE.dt_s * TIMER_HZ + 0.5) - 1u;
     TIM_CR2(TIM4) = TIM_CR2_MMS_UPDATE;
     TIM_CR1(TIM4) = TIM_CR1_CEN;
 }
@@ -206,14 +217,15 @@ void ADC_IRQHandler(void)
     port_tick();
 }
 
+/* The processor's own counter stands still while it sleeps; a timer's clock does not. */
 uint32_t board_cycles(void)
 {
-    return DWT_CYCCNT;
+    return TIM_CNT(TIM5);
 }
 
 uint32_t board_period_cycles(void)
 {
-    return (uint32_t)(HARDWARE.dt_s * PROCESSOR_HZ + 0.5);
+    return (uint32_t)(HARDWARE.dt_s * TIMER_HZ + 0.5);
 }
 
 void board_alive(bool level)

@@ -30,6 +30,7 @@
 #define RCC_APB1ENR AT(0x40023840u)
 #define RCC_APB1ENR_TIM2 (1u << 0)
 #define RCC_APB1ENR_TIM4 (1u << 2)
+#define RCC_APB1ENR_TIM5 (1u << 3)
 #define RCC_APB1ENR_USART2 (1u << 17)
 #define RCC_APB1ENR_PWR (1u << 28)
 #define RCC_APB1ENR_DAC (1u << 29)
@@ -77,7 +78,7 @@
 #define GPIO_AFR(port, pin) AT((port) + 0x20u + 4u * ((pin) / 8u))
 enum { GPIO_INPUT, GPIO_OUTPUT, GPIO_OTHER, GPIO_ANALOGUE };
 
-/* RM0090 18.4: general-purpose timers; TIM2 counts 32 bits. */
+/* RM0090 18.4: general-purpose timers; TIM2 and TIM5 count 32 bits. */
 #define TIM2 0x40000000u
 #define TIM4 0x40000800u
 #define TIM5 0x40000c00u
@@ -162,11 +163,6 @@ enum { GPIO_INPUT, GPIO_OUTPUT, GPIO_OTHER, GPIO_ANALOGUE };
 #define RTC_BKPR ((volatile uint32_t *)0x40002850u)
 
 /* The core. */
-#define DEMCR AT(0xe000edfcu)
-#define DEMCR_TRCENA (1u << 24)
-#define DWT_CTRL AT(0xe0001000u)
-#define DWT_CTRL_CYCCNTENA (1u << 0)
-#define DWT_CYCCNT AT(0xe0001004u)
 #define NVIC_ISER(number) AT(0xe000e100u + 4u * ((number) / 32u))
 #define NVIC_IPR(number) (*(volatile uint8_t *)(0xe000e400u + (number)))
 #define SYST_CSR AT(0xe000e010u)
@@ -175,6 +171,8 @@ enum { GPIO_INPUT, GPIO_OUTPUT, GPIO_OTHER, GPIO_ANALOGUE };
 #define SYST_CVR AT(0xe000e018u)
 #define ICSR AT(0xe000ed04u)
 #define ICSR_PENDSTCLR (1u << 25) /* SysTick's tick that waits */
+#define AIRCR AT(0xe000ed0cu)
+#define AIRCR_SYSRESETREQ 0x05fa0004u /* with the key that a write wants */
 #define SHPR3_SYSTICK (*(volatile uint8_t *)0xe000ed23u)
 #define CPACR AT(0xe000ed88u)
 #define CPACR_FPU_ON (15u << 20)

@@ -30,12 +30,14 @@ void td_reset(void)
     td_trap();
 }
 
-/* What the processor complains about, a crystal that stops, a supply that falls, and what nobody has asked for: no tick
- * any more, so that the monostable opens the enable within a millisecond and the watchdog starts anew. */
+/* What the processor complains about, a crystal that stops, a supply that falls, and what nobody has asked for: a reset, by
+ * which all pins let go and the enable falls at once. It wants no watchdog, which does not run before the first tick. */
 void td_trap(void)
 {
+    __asm volatile("cpsid i\n\tdsb");
+    AIRCR = AIRCR_SYSRESETREQ;
     for (;;)
-        __asm volatile("cpsid i");
+        __asm volatile("dsb");
 }
 
 __attribute__((section(".vectors"), used)) static const struct {

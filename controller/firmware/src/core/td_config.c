@@ -212,6 +212,7 @@ static void unpack_crosscheck(td_config *config, table *from)
     /* An excitation may be played on a rotor that is blocked intentionally. */
     if (!config->calibration.has_accelerometer || config->host_starts)
         stuck_m = swing_A = (double)INFINITY;
+    config->turns_limit = config->host_starts ? INT32_MAX : TD_STUCK_TURNS;
     config->tick_s = (td_real)n[TD_CFG_DT_S];
     config->step_m = (td_real)n[TD_CFG_COUNT_M];
     config->stuck_m = (td_real)stuck_m;

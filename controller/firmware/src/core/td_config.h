@@ -89,6 +89,7 @@ typedef struct {
     td_real stuck_m, swing_A;
     td_real tick_s, step_m; /* period and count as td_real, since converting them at every tick is costly */
     int32_t rest_limit, block_ticks;
+    int32_t turns_limit; /* of an encoder that goes back and forth between two counts; none for an excitation */
     td_coil coil;
     td_calibration calibration;
     td_pulse_plan pulse;

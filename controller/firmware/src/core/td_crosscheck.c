@@ -138,7 +138,7 @@ void td_crosscheck_step(td_crosscheck *check, const td_config *config, int32_t m
     if (playing || td_size(current_A) >= config->stuck_A) {
         listen(check, config, acceleration_m_s2, current_A, playing);
         /* A dead accelerometer misses the end of a motion, so its path would grow without one: it must show noise. */
-        check->stuck = td_size(check->path_m) >= config->stuck_m &&
+        check->stuck = td_size(check->path_m) >= (playing ? 1 : (td_real)TD_STUCK_HELD) * config->stuck_m &&
                        heard(check, config) >= (td_real)TD_DEAD_M_S2 * (td_real)TD_DEAD_M_S2;
     } else if (check->whole > 0 || check->ticks > 0) {
         td_crosscheck_forget(check);

@@ -4,7 +4,7 @@
 
 void td_watch_forget(td_watch *watch)
 {
-    watch->missing_ticks = watch->still_ticks = watch->wrong_ticks = 0;
+    watch->missing_ticks = watch->still_ticks = watch->turns = watch->turn_ticks = watch->wrong_ticks = 0;
     watch->still_A_s = 0;
     td_crosscheck_forget(&watch->crosscheck);
 }
@@ -22,8 +22,8 @@ void td_watch_start(td_watch *watch, const td_config *config)
     td_watch_forget(watch);
 }
 
-/* By how much the encoder has left its two counts. One that has a single channel goes back and forth between two for ever,
- * as a sound one does on an edge; at a turn of a sound one this is one count late. */
+/* By how much the encoder has left its two counts, between which one with a single channel goes back and forth however far
+ * the stylus goes; when a sound one turns back this is one count late. */
 static int32_t leave(int32_t *low_counts, int32_t counts)
 {
     const int32_t before = *low_counts;
@@ -33,6 +33,13 @@ static int32_t leave(int32_t *low_counts, int32_t counts)
     else if (counts > before + 1)
         *low_counts = counts - 1;
     return *low_counts - before;
+}
+
+/* Whether it went so often, and no further, for the time of a still one: a wall may chatter by a count, but no hand holds it
+ * there. */
+static bool turns_back(const td_watch *watch, const td_config *config)
+{
+    return watch->turn_ticks >= config->still_limit && watch->turns >= config->turns_limit;
 }
 
 void td_watch_step(td_watch *watch, const td_config *config, const td_readings *readings, td_real expected_A,
@@ -80,14 +87,22 @@ void td_watch_step(td_watch *watch, const td_config *config, const td_readings *
     else if (watch->wrong_ticks < config->wrong_limit)
         watch->wrong_ticks++;
     td_crosscheck_step(&watch->crosscheck, config, left, readings->acceleration_m_s2, watch->current_A, playing);
-    if (left != 0 || !(size >= config->stuck_A))
+    if (left != 0 || !(size >= config->stuck_A) || (watch->turn_ticks >= config->still_limit && !turns_back(watch, config)))
+        watch->turns = watch->turn_ticks = 0;
+    else if (watch->turn_ticks < config->still_limit)
+        watch->turn_ticks++;
+    if (moved != 0) {
+        watch->turns++;
+        watch->still_ticks = 0;
+        watch->still_A_s = 0;
+        return;
+    }
+    if (!(size >= config->stuck_A))
         watch->still_ticks = 0;
     else if (watch->still_ticks < config->still_limit)
         watch->still_ticks++;
     /* A hand may hold the stylus still during the slow tail of a transient, but not during its strokes. */
-    if (moved != 0)
-        watch->still_A_s = 0;
-    else if (td_size(transient_A) >= config->stuck_A)
+    if (td_size(transient_A) >= config->stuck_A)
         watch->still_A_s += transient_A * config->tick_s;
 }
 
@@ -105,7 +120,7 @@ static uint32_t alike(const td_watch *w, const td_config *c)
            bit(TD_WHAT_LATE_TICK, w->late) | bit(TD_WHAT_BAD_SENSOR, w->bad_encoder || w->bad_current) |
            bit(TD_WHAT_OVER_CURRENT, !flows) | bit(TD_WHAT_ENCODER_JUMP, !moves) |
            bit(TD_WHAT_ENCODER_STUCK, w->still_ticks >= c->still_limit || td_size(w->still_A_s) >= c->stuck_A_s ||
-                                          w->crosscheck.stuck) |
+                                          turns_back(w, c) || w->crosscheck.stuck) |
            bit(TD_WHAT_NO_CURRENT, w->missing_ticks >= c->missing_limit) |
            bit(TD_WHAT_ACCELEROMETER_DEAD, w->crosscheck.quiet) |
            bit(TD_WHAT_GRIP_OPEN, c->has_grip && !(w->raw_grip_N >= c->grip_open_N)) |

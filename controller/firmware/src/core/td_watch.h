@@ -10,7 +10,7 @@
 /* Quantities by which faults are judged, updated every tick. NaN and absurd readings are rejected here: `counts`,
  * `grip_N` and `current_A` hold the last valid readings, the grip smoothed. */
 typedef struct {
-    int32_t counts, low_counts; /* still is an encoder that stays within low_counts and one more */
+    int32_t counts, low_counts; /* of the two neighbouring counts, low_counts and one more, that the encoder is at */
     td_real grip_N, raw_grip_N, current_A, step_m_s; /* step_m_s: velocity of the encoder over the last tick */
     td_real expected_A;                              /* present current of the model */
     bool seen, gripped;                              /* whether there has been a valid reading of encoder and grip */
@@ -18,7 +18,9 @@ typedef struct {
     bool playing, held; /* a transient plays; one for which a lost grip is a fault */
     uint32_t hardware; /* faults by the hardware's own limits in this tick (td_ring.h) */
     int32_t missing_ticks; /* duration of far less current than expected */
-    int32_t still_ticks;   /* duration of current on a still encoder; both saturate at their limits */
+    int32_t still_ticks;   /* duration of current since the last count; both saturate at their limits */
+    int32_t turns, turn_ticks; /* how often the encoder went back and forth between its two counts under current, and for how
+                                  long, up to the time of a still one */
     td_real still_A_s;     /* impulse of the transient since the last count */
     bool pulsing;        /* set by the device: a test pulse runs, which td_evidence.h judges */
     bool wrong;          /* whether the last reading of the current is further from the model's than allowed */
