@@ -165,7 +165,7 @@ class Reset(Packed):
 
 @message(Kind.GAIN)
 class Gain(Packed):
-    """Change the factor on transients, also on one that plays; it follows in small steps."""
+    """Change the factor on transients and feedback, also while they play; it follows in small steps."""
 
     gain: F64
 

@@ -288,6 +288,26 @@ def test_the_command_writes_all_three_and_says_what_to_solder(play: Run, monkeyp
     assert play("device", "circuit", "circuit.toml", "--force").code == 0
 
 
+@pytest.mark.parametrize("name", CIRCUITS)
+def test_the_command_stays_clear_of_what_an_output_buffer_does_not_reach(name: str) -> None:
+    """0.2 V from either rail."""
+    built, _ = load_circuit(CIRCUITS[name])
+    converter, command_A = built.circuit.converter, built.hardware.command_A
+    for sign in (-1, 1):
+        volts = (built.scales.output_zero + sign * command_A * built.scales.output_per_A) * (
+            converter.supply_V / converter.counts
+        )
+        assert 0.2 <= volts <= converter.supply_V - 0.2
+
+
+@pytest.mark.parametrize(("dt_s", "words"), [(4.9e-5, "equal to 0.00005"), (1.1e-3, "equal to 0.001")])
+def test_a_period_that_no_device_file_takes_is_refused(tmp_path: Path, dt_s: float, words: str) -> None:
+    text = CIRCUITS["escon_re25"].read_text(encoding="utf-8")
+    (tmp_path / "circuit.toml").write_text(text.replace("resistors = 0.01", f"resistors = 0.01\ndt_s = {dt_s}"))
+    with pytest.raises(InputError, match=f"dt_s = {dt_s}: must be .*{words}"):
+        load_circuit(tmp_path / "circuit.toml")
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [

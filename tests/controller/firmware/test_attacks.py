@@ -21,6 +21,7 @@ from tests.benches.compiled import DT_S, smooth_bank
 from tests.benches.device import IMAGE, ONE_WAVEFORM, REST, SETTINGS, Talker
 from tests.benches.probed import ProbedDevice
 from tests.benches.servo import AMPLIFIER
+from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel
 from transopt.plant.wall import Wall
 
@@ -442,3 +443,35 @@ def test_holds_that_are_not_yet_late_pass_the_limit_by_no_more_than_is_stated(st
     long = fast**1.5
     bound_A = (fast - long) * ((most_A - limit_A) / fast + long / (1 - long) * (most_A + limit_A))
     assert 0.7 * bound_A < max(found_A) - limit_A < bound_A
+
+
+def test_a_configuration_knows_the_current_that_still_flows(start: Start) -> None:
+    """An amplifier of 50 Hz still gives 3 A when the next waveform begins, which then may not ask for as much as from rest."""
+    slow_Hz = 50.0
+    hardware = replace(HARDWARE, command_A=30.0, current_A=4.5, pole_least_Hz=slow_Hz, pole_most_Hz=slow_Hz)
+    settings = replace(EXCITED, window_ticks=4, coil=None, amplifier=Amplifier(slow_Hz, 68e-6, 30.0), stuck_A_s=1e3)
+    command = np.zeros((1, 1, 100))
+    command[..., :4] = 29.0
+    command[..., 4:80] = 3.5
+    image = image_of(replace(smooth_bank(1, 1, 100), command_A=command), DT_S, settings.lead_s, 20)
+    talker = Talker(start(hardware=hardware, heat_C=(30.0, 30.0)))
+    talker.configured(configuration_of(settings)).loaded(image)
+    keep, true_A, most_A = math.exp(-2 * math.pi * slow_Hz * DT_S), 0.0, 0.0
+
+    def step(ticks: int) -> None:
+        nonlocal true_A, most_A
+        for _ in range(ticks):
+            output = talker.step(1, replace(REST, current_A=true_A))
+            true_A = keep * true_A + (1 - keep) * output.command_A
+            most_A = max(most_A, abs(true_A))
+
+    for _ in range(2):
+        step(5)
+        talker.heard()
+        talker.done(arm(settings, image), m.Start(0))
+        step(40)
+        assert talker.device.state is State.PLAYING
+        talker.tell(m.Disarm())
+        talker.heard()
+        assert isinstance(talker.configure(configuration_of(settings)), m.Done)
+    assert 3.0 < most_A <= settings.current_limit_A * (1 + 1e-6)

@@ -63,23 +63,52 @@ def test_a_board_has_all_functions_and_no_others(board: Path, tmp_path: Path) ->
     assert len(declared) > 10
 
 
+def compiled_for(old: str, new: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """The board of a built-in circuit of which a text is another, compiled as board.o."""
+    text = CIRCUITS["escon_re25"].read_text(encoding="utf-8")
+    assert old in text
+    (folder / "circuit.toml").write_text(text.replace(old, new, 1))
+    (folder / "port").mkdir()
+    for name in ("board.h", "stm32f405/board.c", "stm32f405/registers.h"):
+        (folder / "port" / name).parent.mkdir(exist_ok=True)
+        shutil.copy(PORT.parent / name, folder / "port" / name)
+    block = block_text(load_circuit(folder / "circuit.toml")[0], "circuit.toml")
+    (folder / "port" / "hardware.h").write_text(block)
+    source = folder / "port" / "stm32f405" / "board.c"
+    return arm(*M4F, *STRICT, "-DTRANSOPT_PORT", f"-I{SRC}", "-c", source, "-o", "board.o", folder=folder)
+
+
+def numbers_in(code: str) -> set[int]:
+    """Immediate operands and literals of disassembled code."""
+    literals = {int(word, 16) for word in re.findall(r"\.word\s+0x([0-9a-f]+)", code)}
+    return literals | {int(value) for value in re.findall(r"#(\d+)", code)}
+
+
 @pytest.mark.parametrize(("old", "new"), [("bits = 12", "bits = 10"), ('"dac"', '"pwm"')])
 def test_a_circuit_with_converters_that_the_board_has_not_does_not_compile(
     old: str, new: str, tmp_path: Path
 ) -> None:
-    text = CIRCUITS["escon_re25"].read_text(encoding="utf-8")
-    assert old in text
-    (tmp_path / "circuit.toml").write_text(text.replace(old, new))
-    (tmp_path / "port").mkdir()
-    for name in ("board.h", "stm32f405/board.c", "stm32f405/registers.h"):
-        (tmp_path / "port" / name).parent.mkdir(exist_ok=True)
-        shutil.copy(PORT.parent / name, tmp_path / "port" / name)
-    block = block_text(load_circuit(tmp_path / "circuit.toml")[0], "circuit.toml")
-    (tmp_path / "port" / "hardware.h").write_text(block)
-    source = tmp_path / "port" / "stm32f405" / "board.c"
-    done = arm(*M4F, *STRICT, "-DTRANSOPT_PORT", f"-I{SRC}", "-c", source, folder=tmp_path)
+    done = compiled_for(old, new, tmp_path)
     assert done.returncode != 0
     assert "this board has converters of 12 bits" in done.stderr
+
+
+@pytest.mark.parametrize(("dt_s", "reload", "period"), [(5e-5, 4199, 4200), (1e-4, 8399, 8400), (1e-3, 41_999, 84_000)])
+def test_a_period_of_the_board_is_that_of_the_circuit(dt_s: float, reload: int, period: int, tmp_path: Path) -> None:
+    """Its timer counts 16 bits, of 84 MHz: 1 ms is divided by two before it."""
+    text = f"dt_s = {dt_s}\nresistors = 0.01"
+    assert compiled_for("resistors = 0.01", text, tmp_path).returncode == 0
+    code = tool("objdump", "-d", "board.o", folder=tmp_path)
+    divider_of_tim4 = 0x828
+    assert {reload, period, divider_of_tim4} <= numbers_in(code)
+
+
+def test_the_counter_of_the_ticks_goes_on_while_the_processor_sleeps(tmp_path: Path) -> None:
+    """A timer's, not the processor's own, which a late tick after a sleep would not show."""
+    assert compiled_for("", "", tmp_path).returncode == 0
+    code = tool("objdump", "-d", "--disassemble=board_cycles", "board.o", folder=tmp_path)
+    counter_of_tim5 = 0x40000C24
+    assert sum(numbers_in(code)) == counter_of_tim5
 
 
 def test_the_stack_has_room_for_the_deepest_loop_and_a_tick_on_top_of_it(tmp_path: Path) -> None:
@@ -134,6 +163,14 @@ def test_a_stopped_crystal_and_a_falling_supply_end_in_the_trap(tmp_path: Path) 
     nmi, detector = 2, 16 + 1
     thumb = 1
     assert {struct.unpack_from("<I", image, 4 * entry)[0] for entry in (nmi, detector)} == {int(place, 16) | thumb}
+
+
+def test_the_trap_is_a_reset_that_wants_no_watchdog(tmp_path: Path) -> None:
+    """What ends there before the first tick would stay there for ever: the watchdog does not run yet."""
+    assert linked(64, tmp_path).returncode == 0
+    code = tool("objdump", "-d", "--disassemble=td_trap", "image.elf", folder=tmp_path)
+    key_and_request = 0x05FA0004
+    assert key_and_request in numbers_in(code)
 
 
 def test_bytes_of_the_line_are_read_behind_the_counter_that_says_they_came(tmp_path: Path) -> None:

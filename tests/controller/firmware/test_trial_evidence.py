@@ -303,3 +303,29 @@ def test_one_open_channel_of_the_encoder_ends_the_push_of_a_wall_and_takes_the_e
     assert tick - 3000 <= settings.ticks(settings.stuck_s) + 2
     assert talker.device.look().fault is Fault.ENCODER_STUCK
     assert evidence(talker).bits == 0
+
+
+class Tremor(Hand):
+    """A motion of 0.2 mm rms, too small to compare the two sensors by."""
+
+    @staticmethod
+    def height_m(time_s: float) -> float:
+        return 5e-3 + 3e-4 * math.sin(2 * math.pi * 20 * time_s)
+
+
+def test_a_motion_too_small_to_compare_the_sensors_is_no_agreement(start: Start) -> None:
+    talker = ready(start)
+    talker.done(m.Surface((5e-3 - 2.8e-4) / SETTINGS.count_m))
+    found = tried(talker, Tremor(talker))
+    assert (found.bits, found.stage) == (m.PULSE_SOUND, Stage.TRIED)
+    assert math.isnan(found.speed_ratio)
+
+
+@pytest.mark.parametrize(("scale", "bits"), [(5.0, 0), (1.0, m.TRIAL_FINISHED)])
+def test_a_trial_is_as_large_as_its_current_is_in_the_hardwares_units(start: Start, scale: float, bits: int) -> None:
+    """A host that states an amplifier of five times its gain makes 5 mA of 1 mA, of a hardware of 4.5 A."""
+    settings = replace(WATCHED, amplifier_scale=scale, monitor_scale=scale)
+    talker = Talker(start(simulated=False))
+    plant = Plant(talker, amplifier=scale, monitor=1 / scale)
+    assert pulsed(talker, plant, settings).bits == m.PULSE_SOUND
+    assert tried(talker, Hand(talker), settings, quiet_image(0.05)).bits == m.PULSE_SOUND | bits
