@@ -310,7 +310,7 @@ class Tremor(Hand):
 
     @staticmethod
     def height_m(time_s: float) -> float:
-        return 5e-3 + 3e-4 * math.sin(2 * math.pi * 20 * time_s)
+        return 5e-3 + 3e-4 * min(time_s / 1.2, 1.0) ** 2 * math.sin(2 * math.pi * 20 * time_s)
 
 
 def test_a_motion_too_small_to_compare_the_sensors_is_no_agreement(start: Start) -> None:
