@@ -110,7 +110,7 @@ the way repeats keeps no device armed.
 To play: HELLO, CONFIGURE in parts, CONFIGURE_COMMIT, UPLOAD_BEGIN, DATA (at most `upload_frames` ahead of the last
 ACK), COMMIT, then ARM, and LEASE at least every `lease_ms`. A device that is not simulated arms only with evidence
 of its own: PULSE with pairs, ARM with trial 1 and a tap. The trial is of the library in force: after
-another COMMIT it is asked for again. A fault of {', '.join(one.name for one in EVIDENCE_FAULTS[:-1])} or
+another COMMIT it is asked for again. A fault of {", ".join(one.name for one in EVIDENCE_FAULTS[:-1])} or
 {EVIDENCE_FAULTS[-1].name} takes the evidence: the cable that is its remedy may be plugged in reversed.
 
 A part of CONFIGURE or DATA has at most {messages.DATA_LIMIT} bytes. Each hash is the SHA-256 of all bytes of the

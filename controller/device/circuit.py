@@ -31,7 +31,9 @@ E96 = tuple(round(10 ** (k / 96), 2) for k in range(96))
 BASE_OHM = 10e3  # of the resistors: little noise, and a load that any operational amplifier drives
 RAIL_COUNTS = 8  # so near to an end of the converter's range there is no number
 HEADROOM = 0.97  # of a converter's range that the over-current may take
-OUTPUT_ROOM_V = 0.2  # that a converter's output buffer keeps from either rail (STM32F405, DS8626: DAC_OUT with the buffer on)
+OUTPUT_ROOM_V = (
+    0.2  # that a converter's output buffer keeps from either rail (STM32F405, DS8626: DAC_OUT with the buffer on)
+)
 OVER_CURRENT = 1.3  # on the largest current: above what a check and a tap overshoot by, below what harms
 POLE_ROOM = 1.5  # by which the amplifier's pole may differ from the stated one, up and down
 # Table -> unit of its sensor, and the reaches of such sensors: beyond them another unit was stated.

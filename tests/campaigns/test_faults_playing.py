@@ -198,7 +198,9 @@ def tapped(given: Payload, world: Broken, speed_m_s: float, single: bool) -> See
     return seen
 
 
-def pressed(given: Payload, world: OwnWorld, wall: Wall, tilt_m_s2: float = 0.0, single: bool = False) -> Fault | None:
+def pressed(
+    given: Payload, world: OwnWorld, wall: Wall, tilt_m_s2: float = 0.0, single: bool = False
+) -> Fault | None:
     """The fault of a sound device whose hand goes slowly into a wall, stays, and comes out; None for none.
 
     Parameters

@@ -96,7 +96,9 @@ def test_stuck_encoder(stated: Settings, tables: Bank) -> None:
     assert pressed.servo.fault is Fault.ENCODER_STUCK
 
 
-@pytest.mark.parametrize(("every", "host_starts", "stuck"), [(10, False, True), (500, False, False), (10, True, False)])
+@pytest.mark.parametrize(
+    ("every", "host_starts", "stuck"), [(10, False, True), (500, False, False), (10, True, False)]
+)
 def test_an_encoder_with_one_channel_is_stuck_and_a_trembling_edge_is_none(
     stated: Settings, every: int, host_starts: bool, stuck: bool
 ) -> None:
