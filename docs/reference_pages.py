@@ -59,8 +59,9 @@ SEEN_WHEN = {
     Fault.OVER_TEMPERATURE: "the estimated winding is above its limit, or no number",
     Fault.ENCODER_JUMP: "the encoder moves faster than {fastest_m_s} m/s",
     Fault.ENCODER_STUCK: (
-        "{stuck_A_s} A s of a transient pass without a count of the encoder, or {stuck_s} s above {stuck_A} A, and as long with "
-        f"{STUCK_TURNS} turns between two neighbouring counts, as one with a single channel makes; or, by the accelerometer, a motion of "
+        "{stuck_A_s} A s of a transient pass without a count of the encoder, or {stuck_s} s above {stuck_A} A, or "
+        f"as long within two neighbouring counts with {STUCK_TURNS} turns or more, as one with a single "
+        "channel makes; or, by the accelerometer, a motion of "
         f"{STUCK_COUNTS:g} counts and {1e3 * STUCK_LEAST_M:g} mm while a transient plays, {STUCK_HELD:g} times as much "
         "while more than {stuck_A} A flow in a wall"
     ),

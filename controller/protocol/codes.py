@@ -101,8 +101,8 @@ class LinkNotice(Enum):
 
 
 What = Notice | Fault | LinkNotice
-# Faults that take the evidence, since their remedy is at a cable of encoder, amplifier or accelerometer: what is plugged
-# in anew may be reversed. The grip is no part of the evidence.
+# Faults that take the evidence, since their remedy is at a cable of encoder, amplifier or accelerometer: what is
+# plugged in anew may be reversed. The grip is no part of the evidence.
 EVIDENCE_FAULTS = (
     Fault.BAD_SENSOR,
     Fault.ENCODER_JUMP,

@@ -17,8 +17,8 @@ FOLLOW_FAR_M = 5e-3  # difference of the two positions beyond which the observer
 FOLLOW_STILL_S = 20e-3  # time without a count after which the stylus counts as at rest and the integrals restart
 ABSURD_M_S2 = 1e4  # a reading beyond this, or NaN, counts as 0
 STUCK_COUNTS, STUCK_LEAST_M = 10.0, 2e-4  # motion without a count of a stuck encoder, the larger of both
-# Turns between two neighbouring counts, within the time of a still encoder, of one that has lost a channel: those of a
-# stylus that goes 3 mm at 24.5 um a count. A hand that trembles by 12 Hz on an edge makes 24 in a second.
+# Turns between two neighbouring counts, within the time of a still encoder, of one that has lost a channel: those of
+# a stylus that goes 3 mm at 24.5 um a count. A hand that trembles by 12 Hz on an edge makes 24 in a second.
 STUCK_TURNS = 60
 STUCK_HELD = 4.0  # times that in a wall alone: among its rare counts the offset lags behind a hand that tilts
 QUIET_M_S2 = 0.980665  # rms about the mean, a tenth of g, below which the accelerometer is silent

@@ -85,7 +85,7 @@ class Settings:
         of it is measured, for this time: a few ticks, since the two may differ when the sign changes.
     stuck_A_s : impulse of the transient's strokes (above `stuck_A`) without a count. On a hard surface a hand with a
         tremor of 60 um stays within one count for 31 ms, 0.12 A s at 4 A.
-    stuck_A, stuck_s : current and time without a count, or of an encoder that only turns back and forth between two; a
+    stuck_A, stuck_s : current and time without a count, or with an encoder that only turns between two of them; a
         hand's tremor of 4 counts allows neither.
     grip_open_N, grip_short_N : readings below and above are those of an open and of a shorted sensor.
 

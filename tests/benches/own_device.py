@@ -73,7 +73,7 @@ class Truth:
 
 
 class OpenChannel:
-    """What a decoder of all four edges counts from the moment on at which channel B has lost its wire and stays as it is.
+    """What a decoder of all four edges counts once channel B has lost its wire and stays as it is.
 
     Parameters
     ----------

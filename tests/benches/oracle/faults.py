@@ -56,7 +56,7 @@ class Watch:
 
     @property
     def turns_back(self) -> bool:
-        """Whether the encoder went so often, and no further, for the time of a still one; an excitation may shake it."""
+        """Whether it went so often, and no further, for the time of a still one; an excitation may shake it."""
         often = self.turns >= STUCK_TURNS and not self.settings.host_starts
         return often and self.turn_ticks >= self.still_limit
 

@@ -446,7 +446,7 @@ def test_holds_that_are_not_yet_late_pass_the_limit_by_no_more_than_is_stated(st
 
 
 def test_a_configuration_knows_the_current_that_still_flows(start: Start) -> None:
-    """An amplifier of 50 Hz still gives 3 A when the next waveform begins, which then may not ask for as much as from rest."""
+    """An amplifier of 50 Hz still gives 3 A when the next waveform begins, which may not ask for all then."""
     slow_Hz = 50.0
     hardware = replace(HARDWARE, command_A=30.0, current_A=4.5, pole_least_Hz=slow_Hz, pole_most_Hz=slow_Hz)
     settings = replace(EXCITED, window_ticks=4, coil=None, amplifier=Amplifier(slow_Hz, 68e-6, 30.0), stuck_A_s=1e3)

@@ -306,7 +306,7 @@ def test_one_open_channel_of_the_encoder_ends_the_push_of_a_wall_and_takes_the_e
 
 
 class Tremor(Hand):
-    """A motion that grows up to 0.8 mm, in rms over the last half second less than the two sensors are compared by."""
+    """A motion that grows up to 0.8 mm, over the last half second less than the sensors are compared by."""
 
     @staticmethod
     def height_m(time_s: float) -> float:

@@ -34,7 +34,7 @@ def core(settings: Settings, table: Bank) -> CoreServo:
 def test_a_tilt_is_learnt_at_rest_and_a_stylus_that_is_flung_has_a_stuck_encoder(
     stated: Settings, tables: Bank, c_compiler: None, kind: Callable[..., Servo], jerk_m_s3: float, stuck: bool
 ) -> None:
-    """In a wall that holds at 2.4 A, moved by three counts every tenth of a second; gravity along the sensor comes or a jerk."""
+    """In a wall, moved by three counts every tenth of a second; gravity along the sensor comes, or a jerk."""
     settings = replace(stated, wall=replace(WALL, stiffness_N_m=1000.0))
     servo, current_A = kind(settings, tables), 0.0
     servo.arm()

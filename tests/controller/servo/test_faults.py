@@ -102,7 +102,7 @@ def test_stuck_encoder(stated: Settings, tables: Bank) -> None:
 def test_an_encoder_with_one_channel_is_stuck_and_a_trembling_edge_is_none(
     stated: Settings, every: int, host_starts: bool, stuck: bool
 ) -> None:
-    """Back and forth between two counts under current: a stylus that goes 5 cm in a second, a hand that trembles by 10 Hz.
+    """Between two counts under current: a stylus that goes 5 cm a second, a hand that trembles by 10 Hz.
 
     An excitation may shake a rotor that is blocked.
     """
