@@ -62,7 +62,7 @@ SEEN_WHEN = {
         "{stuck_A_s} A s of a transient pass without a count of the encoder, or {stuck_s} s above {stuck_A} A, or "
         f"as long within two neighbouring counts with {STUCK_TURNS} turns or more, as one with a single "
         "channel makes; or, by the accelerometer, a motion of "
-        f"{STUCK_COUNTS:g} counts and {1e3 * STUCK_LEAST_M:g} mm while a transient plays, {STUCK_HELD:g} times as much "
+        f"{STUCK_COUNTS:g} counts and {1e3 * STUCK_LEAST_M:g} mm while a transient plays, {STUCK_HELD:g} times that "
         "while more than {stuck_A} A flow in a wall"
     ),
     Fault.NO_CURRENT: (
@@ -82,6 +82,8 @@ SEEN_WHEN = {
         f"{QUIET_M_S2 / STANDARD_GRAVITY_M_S2:g} g rms"
     ),
 }
+
+TAKEN = "taken: a cable plugged in anew may be reversed"
 
 
 def shown(value: object) -> str:
@@ -140,7 +142,7 @@ def faults() -> str:
     """What makes a device give up, in the order in which it is looked for."""
     numbers = {field.name: field.default for field in fields(Settings)}
     rows = [
-        [code(fault.name), seen.format_map(numbers), fault.value, "taken" if fault in EVIDENCE_FAULTS else "kept"]
+        [code(fault.name), seen.format_map(numbers), fault.value, TAKEN if fault in EVIDENCE_FAULTS else "kept"]
         for fault, seen in SEEN_WHEN.items()
     ]
     return table(["fault", "seen when", "what it says", "evidence"], rows)

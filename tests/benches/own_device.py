@@ -88,7 +88,7 @@ class OpenChannel:
         return counts >> 1 & 1
 
     def counts(self, true: int) -> int:
-        """Its count at this one of a whole encoder."""
+        """The decoder's count where a whole encoder has `true`."""
         return self._counts + self._step * (self._level(true + 1) - self._a)
 
 

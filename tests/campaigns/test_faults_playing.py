@@ -7,7 +7,8 @@ A device with equations of its own (`common.own_device`) stands behind the compi
 amplifier and monitor each off by 10 %, so that 22 % lie between command and reading, noise, and a PWM ripple that
 every reading catches at another phase. Into taps at 0.3 m/s comes one fault each: an amplifier that stops at 1 A, a
 current monitor that reads twice, one that is stuck, a stuck encoder, one with a single channel, a dead
-accelerometer; before the contact in every third run, else in its first 10 ms, at an instant from which it can be told.
+accelerometer; before the contact in every third run, else in its first 10 ms, at an instant from which it can be
+told.
 
 What can be told is counted here, from the truth and from the readings alone: 2 ms of a current that is 0.3 A and 30
 % off, ten counts of the true motion, 5 ms of a dead accelerometer in which the current has swung by an ampere. From

@@ -97,7 +97,7 @@ def test_a_circuit_with_converters_that_the_board_has_not_does_not_compile(
     ("dt_s", "reload", "period"), [(5e-5, 4199, 4200), (1e-4, 8399, 8400), (1e-3, 41_999, 84_000)]
 )
 def test_a_period_of_the_board_is_that_of_the_circuit(dt_s: float, reload: int, period: int, tmp_path: Path) -> None:
-    """Its timer counts 16 bits, of 84 MHz: 1 ms is divided by two before it."""
+    """TIM4 counts 16 bits, of 84 MHz: 1 ms is divided by two before it."""
     text = f"dt_s = {dt_s}\nresistors = 0.01"
     assert compiled_for("resistors = 0.01", text, tmp_path).returncode == 0
     code = tool("objdump", "-d", "board.o", folder=tmp_path)
