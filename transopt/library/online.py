@@ -23,7 +23,7 @@ from transopt.library.library import Library
 from transopt.library.other_limits import with_limits
 from transopt.library.place import Place, Waveform, finite, interpolation_weights
 from transopt.library.standing_tap import MARGIN, StandingTap
-from transopt.plant.coil import CoilModel
+from transopt.plant.coil import HOUSING_C, WINDING_C, CoilModel
 from transopt.plant.discretise import StageModel
 from transopt.plant.state_space import StateSpace
 from transopt.plant.wall import reference_course
@@ -202,11 +202,12 @@ class Online:
 
         Parameters
         ----------
-        winding_C, housing_C : temperatures at the start; default: the library's own. Without a housing temperature
-            the library's is used, lowered to the winding's if that is colder.
+        winding_C, housing_C : measured temperatures at the start; default: the library's own. Without a housing
+            temperature the library's is used, lowered to the winding's if that is colder.
         limits : values in place of the library's own, by the keys of a scene's `limits`, `command_A` for the
             amplifier's range and `temperature_C` for the winding. Without a certified optimum the blend is then
-            played only if it keeps these limits; otherwise nothing. Nothing is played on a winding above its limit.
+            played only if it keeps these limits; otherwise nothing. Nothing is played on a winding above its limit,
+            nor at a measured temperature that no motor has (`WINDING_C`, `HOUSING_C`).
 
         Raises
         ------
@@ -254,7 +255,7 @@ class Online:
         found = remark if problem is None else self._optimum(problem)
         if isinstance(found, str):
             wave = self._library.blend(place)
-            if problem is None:  # the coil is too hot at the start
+            if problem is None:  # the coil is too hot at the start, or not known
                 wave = _silent(wave)
             elif limits and not inside(problem, wave.command):
                 wave = _silent(wave)
@@ -428,13 +429,21 @@ def _heated(
     if coil is None:
         return coil, ""
     limit_C = coil.limit_C if limit_C is None else float(limit_C)
-    if winding_C is None:
-        winding_C, housing_C = coil.start_winding_C, coil.start_housing_C
-    winding_C = finite("winding", winding_C, "C")
-    housing = min(coil.start_housing_C, winding_C) if housing_C is None else finite("housing", housing_C, "C")
-    if winding_C > limit_C:
-        return coil, f"winding {winding_C:.4g} C is above its limit {limit_C:g} C: let the motor cool"
-    return replace(coil, limit_C=limit_C, start_winding_C=winding_C, start_housing_C=housing), ""
+    winding, housing = coil.start_winding_C, coil.start_housing_C
+    if winding_C is not None:
+        winding = finite("winding", winding_C, "C")
+        housing = min(housing, winding)
+    if housing_C is not None:
+        housing = finite("housing", housing_C, "C")
+    for node, given, value, (low, high) in (
+        ("winding", winding_C, winding, WINDING_C),
+        ("housing", housing_C, housing, HOUSING_C),
+    ):
+        if given is not None and not low <= value <= high:
+            return coil, f"{node} {value:.4g} C: a {node} has {low:g} to {high:g} C: check its sensor"
+    if winding > limit_C:
+        return coil, f"winding {winding:.4g} C is above its limit {limit_C:g} C: let the motor cool"
+    return replace(coil, limit_C=limit_C, start_winding_C=winding, start_housing_C=housing), ""
 
 
 def _silent(wave: Waveform) -> Waveform:

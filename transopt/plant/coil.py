@@ -15,6 +15,7 @@ from transopt.base.signals import FloatArray
 COPPER_PER_K = 0.0039  # temperature coefficient of resistance
 RESISTANCE_REFERENCE_C = 25.0  # temperature at which datasheets state R
 PWM_RIPPLE_A = 0.02  # seed Eq. 7: i_eff = i + 0.02 sign(i)
+WINDING_C, HOUSING_C = (-40.0, 260.0), (-40.0, 200.0)  # a reading beyond these is a sensor's fault
 PAUSE_STEPS = 100  # into which the pause between two taps is divided
 
 

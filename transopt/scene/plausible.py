@@ -13,6 +13,7 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.units import unit_of
+from transopt.plant.coil import HOUSING_C, WINDING_C
 from transopt.plant.state_space import StateSpace
 from transopt.recordings.plausible import HAND_M_S
 from transopt.scene.plausible_response import implausible_response
@@ -84,8 +85,8 @@ PLAUSIBLE = {
     "tau_h_s": (5.0, 2e4),
     "winding_max_C": (50.0, 300.0),
     "ambient_C": (-40.0, 90.0),
-    "start_winding_C": (-40.0, 260.0),
-    "start_housing_C": (-40.0, 200.0),
+    "start_winding_C": WINDING_C,
+    "start_housing_C": HOUSING_C,
     "headroom_K": (1e-4, 200.0),
     "pole_Hz": (20.0, 2e6),
     "delay_s": (1e-8, 1.0),

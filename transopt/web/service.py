@@ -26,7 +26,7 @@ from transopt.design.remedy import Work, remedies
 from transopt.design.scene_entry import SceneEntry
 from transopt.library.library import Library
 from transopt.library.recorded import references_of_library
-from transopt.plant.coil import CoilModel
+from transopt.plant.coil import WINDING_C, CoilModel
 from transopt.plant.time_grid import TimeGrid
 from transopt.problem.warm_coil import WarmCoil
 from transopt.recordings.recording import Recording
@@ -199,7 +199,10 @@ class Service:
             wanted[key] = value
         scene = self.scene if wanted == self.changes else with_values(self.opened, wanted)
         self._check_probe(scene, probe)
-        if winding_C is not None and (self.windings_C is None or not np.isfinite(winding_C)):
+        low_C, high_C = WINDING_C
+        if winding_C is not None and not low_C <= winding_C <= high_C:
+            raise InputError(f"winding {winding_C:g} C: must be {low_C:g} to {high_C:g} C")
+        if winding_C is not None and self.windings_C is None:
             raise InputError(f"winding {winding_C:g} C: the scene has no cool commands: state grid.cool_share")
         self.references(scene)
         self.scene, self.changes, self.probe, self.winding_C = scene, wanted, probe, winding_C

@@ -66,6 +66,8 @@ def test_a_coil_with_room_plays_the_optimum_and_one_without_nothing(shown: tuple
     nothing = service.quick([0])[0]
     assert nothing.warm.words == "no transient"
     assert plain(nothing)["warm"]["scale"] == 0.0
+    with pytest.raises(InputError, match="winding -300 C: must be -40 to 260 C"):
+        service.change({}, winding_C=-300.0)
     service.change({})
     assert service.quick([0])[0].warm is None
 

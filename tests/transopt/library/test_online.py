@@ -155,6 +155,23 @@ class TestHeat:
         assert tap.wave.silent
         assert not tap.wave.command.any()
 
+    @pytest.mark.parametrize(
+        ("temperatures", "wrong"),
+        [((-300.0, None), "winding"), ((-41.0, None), "winding"), ((25.0, -242.0), "housing"), ((None, 850.0), "housing")],
+    )
+    def test_at_a_faulty_sensor_nothing_is_played_and_the_reason_said(
+        self, solver: Online, temperatures: tuple[float | None, float | None], wrong: str
+    ) -> None:
+        tap = solver.solve(0.4, 5.0, *temperatures)
+        assert tap.remark.startswith(wrong)
+        assert tap.remark.endswith("check its sensor")
+        assert tap.wave.silent
+        assert not tap.wave.command.any()
+
+    def test_a_measured_housing_counts_without_a_measured_winding(self, library: Library, solver: Online) -> None:
+        known = solver.solve(0.4, 5.0, library.coil().start_winding_C, 60.0)
+        np.testing.assert_array_equal(solver.solve(0.4, 5.0, housing_C=60.0).wave.command, known.wave.command)
+
     @pytest.mark.parametrize("temperatures", [(float("nan"), None), (25.0, float("inf"))])
     def test_no_number_is_refused(self, solver: Online, temperatures: tuple[float, float | None]) -> None:
         with pytest.raises(InputError, match="must be a finite number"):
