@@ -79,6 +79,11 @@ class Formula:
         found = {node.id for node in ast.walk(self._tree) if isinstance(node, ast.Name)}
         return frozenset(found & set(self.variables))
 
+    @cached_property
+    def functions(self) -> frozenset[str]:
+        """Functions that occur in the formula."""
+        return frozenset(node.func.id for node in ast.walk(self._tree) if isinstance(node, ast.Call))
+
     def __call__(self, values: Mapping[str, Any], functions: Functions) -> Any:
         """Evaluate the formula; `values` has every variable, and `functions` can take values of their type."""
         return self._compiled({**dict(self.constants), **values}, functions)

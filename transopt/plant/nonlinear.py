@@ -20,13 +20,14 @@ from typing import Any, Self
 import numpy as np
 from pydantic import field_validator, model_validator
 
-from transopt.base.arithmetic import NUMBERS, Formula, Functions
+from transopt.base.arithmetic import NUMBERS, NUMPY, Formula, Functions
 from transopt.base.errors import InputError
 from transopt.base.section import Section, Words
 from transopt.plant.state_space import StateSpace
 
 VARIABLES = ("x", "v", "i")  # [m], [m/s], [A]
 CONSTANTS = ("BL", "K", "C")  # of the linear model: [N/A], [N/m], [N s/m]
+COMPLEX_STEP = 1e-40  # of a variable in its own unit: its square is negligible, so a derivative is exact to rounding
 AGREEMENT = 1e-6  # relative tolerance between a formula at rest and the linear model's constant
 PROBED_M_S = (1e-3, 1e-2, 1e-1, 1.0)  # speeds at which friction is checked to oppose the motion
 
@@ -130,6 +131,18 @@ class NonlinearCoil:
     def follows_at_once(self) -> bool:
         """Whether the coil's current is no state but follows from voltage and velocity."""
         return self.R_ohm is not None and self.L_H == 0
+
+    @property
+    def friction_slope_N_s_m(self) -> float:
+        """Derivative of the friction by the velocity at rest; 0 without friction."""
+        if self.friction is None:
+            return 0.0
+        return float(np.imag(self.friction({"x": 0.0, "v": COMPLEX_STEP * 1j, "i": 0.0}, NUMPY))) / COMPLEX_STEP
+
+    @property
+    def kinked(self) -> bool:
+        """Whether a formula has |x|, whose slope jumps."""
+        return any(formula is not None and "abs" in formula.functions for formula in self._formulas)
 
     def _parts(self, states: Sequence[Any], u: Any, functions: Functions) -> tuple[Any, Any, Any]:
         """BL(x), the coil's current, and the force F."""

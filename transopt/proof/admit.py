@@ -3,7 +3,7 @@
 import numpy as np
 
 from transopt.base.signals import FloatArray
-from transopt.plant.nonlinear_stage import NonlinearStage
+from transopt.plant.nonlinear_stage import MOST_SUBSTEPS, NonlinearStage
 from transopt.plant.wall import Wall
 from transopt.problem.answer import Status
 from transopt.problem.limits import hand_over
@@ -19,6 +19,8 @@ NO_MOTION = (
     "the motion has no value: a formula of model.nonlinear has none where it goes, or drives it without end; lower "
     "limits.stroke_m to where the formulas hold"
 )
+STEPS_OF_FRICTION = 40.0  # integration steps in the time within which the friction at rest stops the moving part
+ROUNDED = "where the slope of abs(z) jumps there may be no stationary point: write sqrt(z**2 + e**2) - e for it"
 UNSTABLE_GROWTH = 1e-6  # excess of the spectral radius over 1 per tick beyond rounding
 
 
@@ -73,32 +75,51 @@ def _admitted_as_stationary(designed: Designed, played: Replay) -> tuple[Status,
     """Status of an answer on a nonlinear plant: STATIONARY if certified and feasible in the replay."""
     answer, certificate = designed.solution, designed.certificate
     predicted = designed.effect.motion.acceleration_m_s2
-    shortfalls = played.shortfalls(designed.problem, designed.effect.command, predicted)
+    assert designed.nonlinear is not None
+    cause = _too_sharp(designed.nonlinear.stage)
+    shortfalls = played.shortfalls(designed.problem, designed.effect.command, predicted, cause)
     if not np.isfinite(played.acceleration_m_s2).all():
         shortfalls = [NO_MOTION]
     if answer.status is not Status.OPTIMAL:
+        shortfalls += _no_smooth_search(designed.nonlinear.stage)
         return answer.status, [f"IPOPT: {answer.message}", *shortfalls]
     if not certificate.is_stationary:
         return Status.NOT_CERTIFIED, [certificate.shortfall, *shortfalls]
-    assert designed.nonlinear is not None
-    if played.off(predicted) > AGREEMENT:
-        shortfalls.append(_too_sharp(designed.nonlinear.stage))
+    if played.step_error <= AGREEMENT < played.off(predicted):
+        shortfalls.append(cause)
     return (Status.REPLAY_VIOLATION, shortfalls) if shortfalls else (Status.STATIONARY, [])
 
 
+def _too_steep(stage: NonlinearStage) -> str:
+    """Message if the friction at rest is too steep for the finest integration steps; empty otherwise."""
+    finest_s, slope = stage.dt_s / MOST_SUBSTEPS, stage.plant.friction_slope_N_s_m
+    most = stage.plant.moved_kg / (STEPS_OF_FRICTION * finest_s)
+    if slope <= most:
+        return ""
+    return (
+        f"model.nonlinear.friction rises by {slope:.2g} N s/m at rest, too steeply for integration steps of "
+        f"{finest_s:.2g} s: at most {most:.2g} N s/m, by a larger v0 in tanh(v/v0)"
+    )
+
+
+def _no_smooth_search(stage: NonlinearStage) -> list[str]:
+    """Properties of the formulas that may end the search for an optimum, one sentence each."""
+    return [said for said in (_too_steep(stage), ROUNDED if stage.plant.kinked else "") if said]
+
+
 def _too_sharp(stage: NonlinearStage) -> str:
-    """Message if the steps of the stage do not follow its plant: what to change."""
+    """Message if integration steps do not follow the plant: what to change."""
     step_s, plant = stage.dt_s / stage.substeps, stage.plant
     lag_s = 0.0 if plant.R_ohm is None else plant.L_H / plant.R_ohm
+    if steep := _too_steep(stage):
+        return steep
     if 0 < lag_s < step_s:
         return (
             f"the coil's L / R of {lag_s:.2g} s is below the {step_s:.2g} s of an integration step: leave "
             "model.L_H out, or lower time.dt_s"
         )
-    return (
-        f"model.nonlinear turns too sharply for integration steps of {step_s:.2g} s: lower time.dt_s, or make the "
-        "formulas smoother (friction: a larger v0 in tanh(v/v0))"
-    )
+    smoother = f"; {ROUNDED}" if plant.kinked else ", or make the formulas smoother"
+    return f"model.nonlinear turns too sharply for integration steps of {step_s:.2g} s: lower time.dt_s{smoother}"
 
 
 def _pushes_elsewhere(played: Replay, problem: TransientProblem, command: FloatArray) -> str:

@@ -123,17 +123,27 @@ class Replay:
         early = self.reached_while_stated.get(limit.name, np.inf)
         return limit.after_the_waveform and self.leaves(limit) and early <= limit.stated + limit.replay_tolerance
 
-    def shortfalls(self, problem: TransientProblem, command: FloatArray, predicted_m_s2: FloatArray) -> list[str]:
-        """Reasons not to admit this command (N,), one sentence each; empty if there are none."""
+    def shortfalls(
+        self, problem: TransientProblem, command: FloatArray, predicted_m_s2: FloatArray, cause: str = ""
+    ) -> list[str]:
+        """Reasons not to admit this command (N,), one sentence each; empty if there are none.
+
+        Parameters
+        ----------
+        cause : why a replay may not converge, and what to change; by default the fastest mode of a linear device.
+        """
         found: list[str] = []
         tolerance_A = tolerated(problem.limits.input_limit)
         found.extend(limit.replayed(self.peak(limit)) for limit in problem.limits if self.leaves(limit))
         if not self.step_error <= AGREEMENT:
             fastest_Hz = float(np.abs(np.linalg.eigvals(problem.stage.plant.A)).max()) / (2 * np.pi)
-            found.append(
-                f"replay did not converge: halving its step changes it by {self.step_error:.1e} of its peak; the "
-                f"device's fastest mode, at {fastest_Hz:.2g} Hz, is too stiff for double precision: raise the "
+            too_stiff = (
+                f"the device's fastest mode, at {fastest_Hz:.2g} Hz, is too stiff for double precision: raise the "
                 "smallest mass, or lower the stiffness and the damping that act on it"
+            )
+            found.append(
+                f"replay did not converge: smaller steps change it by {self.step_error:.1e} of its peak; "
+                f"{cause or too_stiff}"
             )
         feedback_off = float(np.abs(self.command - command).max())
         if not feedback_off <= tolerance_A:

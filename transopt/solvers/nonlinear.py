@@ -387,8 +387,11 @@ def solve(problem: NonlinearProblem, start: FloatArray, options: SolverOptions) 
 
 
 def _sizes(stage: NonlinearStage, input_size: float, stages: int) -> FloatArray:
-    """(n,) typical size of each state, from the stage linearised at rest; used as its unit."""
-    rest = stage.linearised(np.zeros(1), np.zeros((2, stage.order)))
+    """(n,) typical size of each state, from the linear model; used as its unit.
+
+    Friction is left out: at rest it may be so steep that the step is unstable there.
+    """
+    rest = replace(stage, plant=replace(stage.plant, friction=None)).linearised(np.zeros(1), np.zeros((2, stage.order)))
     return state_scale(rest.A[0], rest.B[0], input_size, stages)
 
 

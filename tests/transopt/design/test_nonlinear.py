@@ -1,6 +1,7 @@
 """Designs for a nonlinear plant, whole: beside the linear design, refused where they must be, and nowhere else."""
 
 import json
+import re
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -19,12 +20,13 @@ from transopt.design.solve import design_nonlinear
 from transopt.problem.answer import Solution, Status
 from transopt.problem.nonlinear import NonlinearProblem
 from transopt.proof import nonlinear_replay
-from transopt.proof.admit import NO_MOTION
+from transopt.proof.admit import NO_MOTION, admit
 from transopt.proof.nonlinear_replay import replay_nonlinear
 from transopt.scene.builtin import load_scene
 from transopt.solvers.options import SolverOptions
 
-ROUNDER = ("[limits]", 'friction = "0.01*tanh(v/1e-2)"\n[limits]')
+GIVEN = 'force_factor = "BL*(1 - 0.3*(x/0.6e-3)**2)"'
+SHORT = ("stages = 80", "stages = 40"), ("cycles = 2", "cycles = 1")
 
 
 @pytest.fixture(scope="module")
@@ -138,18 +140,39 @@ class TestRefusedAnswer:
         ("sharp", "said", "mended"),
         [
             (("L_H = 0.0005", "L_H = 8e-6"), "leave model.L_H out", ("L_H = 0.0005", "")),
-            (("[limits]", 'friction = "0.01*tanh(v/2e-4)"\n[limits]'), "a larger v0 in tanh", ROUNDER),
+            (
+                (GIVEN, 'force_factor = "BL*(1 - 0.3*abs(x)/0.6e-3)"'),
+                "write sqrt(z**2 + e**2) - e",
+                (GIVEN, 'force_factor = "BL*(1 - 0.3*(sqrt(x**2 + 1e-10) - 1e-5)/0.6e-3)"'),
+            ),
         ],
-        ids=["coil", "friction"],
+        ids=["coil", "kink"],
     )
     def test_what_turns_too_sharply_says_what_mends_it(
         self, tmp_path: Path, sharp: tuple[str, str], said: str, mended: tuple[str, str]
     ) -> None:
-        [entry] = design_nonlinear(nonlinear_scene(tmp_path, sharp)).all_entries()
-        assert entry.status is Status.REPLAY_VIOLATION
+        [entry] = design_nonlinear(nonlinear_scene(tmp_path, sharp, *SHORT)).all_entries()
+        assert entry.status in (Status.REPLAY_VIOLATION, Status.ITERATION_LIMIT)
         assert said in entry.shortfalls[-1]
-        [entry] = design_nonlinear(nonlinear_scene(tmp_path, mended)).all_entries()
+        [entry] = design_nonlinear(nonlinear_scene(tmp_path, mended, *SHORT)).all_entries()
         assert entry.status is Status.STATIONARY
+
+    def test_too_steep_a_friction_says_how_steep_it_may_be(self, tmp_path: Path) -> None:
+        def designed(v0: object) -> Any:
+            friction = ("[limits]", f'friction = "0.04*tanh(v/{v0})"\n[limits]')
+            return design_nonlinear(nonlinear_scene(tmp_path, friction, *SHORT)).entries[0][0]
+
+        said = "; ".join(designed(2e-4).shortfalls)
+        assert "smallest mass" not in said
+        most = re.search(r"model\.nonlinear\.friction rises by .* at most (\S+) N s/m, by a larger v0", said)
+        assert most is not None, said
+        assert designed(0.04 / float(most.group(1))).status is Status.STATIONARY
+
+    def test_a_replay_that_does_not_converge_names_the_friction_too(self, tmp_path: Path) -> None:
+        steep = ("[limits]", 'friction = "0.01*tanh(v/1e-4)"\n[limits]')
+        [entry] = design_nonlinear(nonlinear_scene(tmp_path, steep), options=SolverOptions(max_iterations=2)).all_entries()
+        _, said = admit(entry.designed, replace(entry.played, step_error=1e-3))
+        assert "model.nonlinear.friction rises by 1e+02 N s/m" in next(each for each in said if "converge" in each)
 
 
 class TestScene:
