@@ -30,7 +30,9 @@ NAMES = ("R_wh_K_W", "R_ha_K_W", "tau_w_s", "tau_h_s")
 STARTS = 5
 MOST_UNCERTAIN = 0.25  # largest relative half width of an interval to design with
 STEADY_TAU = 1.0  # least time of heating over the housing's time constant
-MOST_MISFIT = 1.5  # largest rms of the residuals over the noise
+MOST_MISFIT = 1.5  # largest rms of the residuals over the noise, where that is white
+MANY_ROWS = 10  # in a mean, so that noise which is correlated over a few rows shows at its full size
+UNLIKE = 0.1  # correlation of two residuals that counts as none
 _CREDIBLE_K_W = (0.2, 500.0)  # thermal resistance from coil to ambient; motors of 6 mm and of 60 mm lie within
 _CREDIBLE_S = (5.0, 2e4)  # time constant of a housing
 _WIDEST = 10.0  # relative half widths above this are stated as this
@@ -99,9 +101,10 @@ class CoilFit(Fit):
                 f"known only {', '.join(wide)} (at most {100 * MOST_UNCERTAIN:.0f} %): record heating and cooling "
                 f"longer, with more current{'' if record.housing else ', or the housing too (housing_C)'}"
             )
-        if self.misfit > MOST_MISFIT:
+        most = MOST_MISFIT * self._alike_rows() ** 0.5
+        if self.misfit > most:
             found.append(
-                f"the model misses the record by {self.misfit:.2g} times its noise (at most {MOST_MISFIT:g}): did "
+                f"the model misses the record by {self.misfit:.2g} times its noise (at most {most:.2g}): did "
                 "the coil begin cold, is the current as recorded, R_25 that of this motor, the ambient steady? "
                 "Record ambient_C and housing_C too"
             )
@@ -110,6 +113,21 @@ class CoilFit(Fit):
                 f"the ambient drifts by {record.ambient_drift_K:.1f} K (at most {DRIFT_K:g} K): shield the motor"
             )
         return found
+
+    def _alike_rows(self) -> int:
+        """Rows over which a thermometer's own filter or resolution correlates the winding's noise; 1 if it does not.
+
+        The noise of a mean over such rows is up to sqrt(rows) times that of white noise. What is correlated for
+        longer than half the winding's time constant is no noise but a misfit of the model.
+        """
+        known = self.record.winding.weight > 0
+        off = (self.winding_C - self.record.winding.values_C)[known]
+        off = off - off.mean()
+        longest = min(int(self.coil.tau_w_s / (2 * self.record.dt_s)), off.size // 10)
+        for rows in range(1, longest + 1):
+            if off[rows:] @ off[:-rows] < UNLIKE * (off @ off):
+                return rows
+        return 1
 
     def supports(self) -> str:
         # The identified coil in the scene's surroundings, to be compared with the datasheet.
@@ -231,6 +249,12 @@ class _Misfit(Squares):
             parts.append(np.sqrt(weight) * (expected - mean) / channel.noise_K)
         return np.concatenate(parts)
 
+    def over_many_rows(self, theta: FloatArray) -> float:
+        """Mean square of the residuals whose temperature is a mean over many rows; 0 if there are few."""
+        long = np.diff(self.steps.first) >= MANY_ROWS
+        read = np.concatenate([long & (means[0] > 0) for _, _, means in self._channels])
+        return float(np.mean(self._residuals(theta)[read] ** 2)) if np.count_nonzero(read) >= MANY_ROWS else 0.0
+
     @property
     def informed(self) -> int:
         """Number of steps, summed over the channels, in which a temperature was read."""
@@ -256,8 +280,8 @@ def fit_coil(record: HeatRecord, nominal: CoilModel, *, starts: int = STARTS) ->
     theta, least = solved[0]
     free = max(misfit.informed - theta.size, 1)
     excess = least / free
-    # Noise that is not white raises the misfit above 1 and so widens the intervals.
-    covariance = inverse(misfit.evaluate(theta)[1]) * max(excess, 1.0)
+    # Noise that is not white raises the misfit above 1, most in means over many rows, and so widens the intervals.
+    covariance = inverse(misfit.evaluate(theta)[1]) * max(excess, misfit.over_many_rows(theta), 1.0)
     half = quantile(free) * np.sqrt(np.diagonal(covariance)[:4])
     values = np.exp(theta[:4])
     with np.errstate(over="ignore"):  # a parameter that the record does not determine

@@ -138,8 +138,13 @@ def _channel(x: Signal) -> Channel:
 
 
 def _noise(values: FloatArray) -> float:
-    """Standard deviation of the rows' noise, from second differences, which a smooth course hardly affects."""
-    return max(float(np.sqrt(np.median(np.diff(values, 2) ** 2) / 6 / 0.4549)), _LEAST_NOISE_K)
+    """Standard deviation of the rows' noise, from second differences, which a smooth course hardly affects.
+
+    Rounding hides noise below the resolution, and leaves the uniform error of the smallest step of the values.
+    """
+    steps = np.diff(np.unique(values))
+    rounding = float(steps.min()) / np.sqrt(12) if steps.size else 0.0
+    return max(float(np.sqrt(np.median(np.diff(values, 2) ** 2) / 6 / 0.4549)), rounding, _LEAST_NOISE_K)
 
 
 def _by_resistance(name: str, current_A: FloatArray, voltage_V: FloatArray, R_ohm: float) -> Channel:

@@ -1,6 +1,7 @@
 """The coil's thermal parameters from heating and cooling: recovered, with intervals that hold, or refused."""
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import typer
+from scipy.signal import lfilter
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray, Signal
@@ -37,6 +39,7 @@ def measured(
     ambient: bool = False,
     warm_K: float = 0.0,
     truth: dict[str, float] = TRUTH,
+    noise_K: float = NOISE_K,
 ) -> Measurement:
     """A record of `truth`; `warm_K`: by how much the motor is above ambient at its begin."""
     random = np.random.default_rng(seed)
@@ -56,9 +59,9 @@ def measured(
         source="heat.npz",
         sha256="0" * 64,
         current=noisy(i, CURRENT_NOISE_A),
-        winding=None if voltage else noisy(winding[0], NOISE_K),
+        winding=None if voltage else noisy(winding[0], noise_K),
         voltage=noisy(u, VOLTAGE_NOISE_V) if voltage else None,
-        housing=noisy(casing[0], NOISE_K) if housing else None,
+        housing=noisy(casing[0], noise_K) if housing else None,
         ambient=noisy(np.full(rows, ambient_C), NOISE_K) if ambient else None,
     )
 
@@ -82,6 +85,35 @@ def test_the_datasheet_comes_back() -> None:
     assert fit.starts[-1] == pytest.approx(fit.starts[0], rel=1e-4)
     # The datasheet's continuous current follows: 1.24 A, 1.248 A by the formula.
     assert replace(fit.coil, ambient_C=25.0).continuous_current_A() == pytest.approx(1.248, abs=0.005)
+
+
+def sensed(run: Measurement, read: Callable[[FloatArray], FloatArray]) -> Measurement:
+    """The record as another thermometer reads it."""
+    given = {name: getattr(run, name) for name in ("winding", "housing")}
+    return replace(run, **{name: replace(each, values=read(each.values)) for name, each in given.items()})
+
+
+def behind_a_filter(values_C: FloatArray) -> FloatArray:
+    """More noise, of which half remains after one row."""
+    white = 0.8 * np.random.default_rng(5).standard_normal(values_C.size)
+    return values_C + lfilter([0.75**0.5], [1.0, -0.5], white)
+
+
+@pytest.mark.parametrize(
+    "read",
+    [lambda x: np.round(x / 0.1) * 0.1, lambda x: np.round(x / 0.5) * 0.5, behind_a_filter],
+    ids=["resolution 0.1 K", "resolution 0.5 K", "filter"],
+)
+def test_ordinary_thermometers_are_taken(read: Callable[[FloatArray], FloatArray]) -> None:
+    fit = fitted(sensed(measured(ambient=True, noise_K=0.02), read))
+    assert not fit.shortfalls()
+    assert np.all(np.abs(values(fit) / list(TRUTH.values()) - 1) < [0.02, 0.01, 0.05, 0.02])
+
+
+def test_a_model_that_misses_is_no_noise_of_the_thermometer() -> None:
+    """A drift of two kelvin over the record, which no filter of a thermometer makes."""
+    run = sensed(measured(), lambda x: x + 2.0 * np.sin(np.linspace(0.0, 12.0, x.size)))
+    assert "the model misses the record" in " ".join(fitted(run).shortfalls())
 
 
 @pytest.mark.parametrize(
