@@ -29,7 +29,9 @@ VARIABLES = ("x", "v", "i")  # [m], [m/s], [A]
 CONSTANTS = ("BL", "K", "C")  # of the linear model: [N/A], [N/m], [N s/m]
 COMPLEX_STEP = 1e-40  # of a variable in its own unit: its square is negligible, so a derivative is exact to rounding
 AGREEMENT = 1e-6  # relative tolerance between a formula at rest and the linear model's constant
-PROBED_M_S = (1e-3, 1e-2, 1e-1, 1.0)  # speeds at which friction is checked to oppose the motion
+PROBED_M_S = np.geomspace(1e-4, 1.0, 41)  # speeds at which friction is checked to oppose the motion
+PROBED_PLACES = 21  # over the stroke
+LEAST_N = 1e-9  # friction that counts as one
 
 
 class Nonlinear(Section):
@@ -113,15 +115,26 @@ class NonlinearCoil:
                     f"model.nonlinear.{key}: {found:.6g} {unit} at rest, the linear model has {wanted:.6g} {unit}: "
                     "make them agree"
                 )
-        if self.friction is not None:
-            for speed in PROBED_M_S:
-                for v in (speed, -speed):
-                    force = _at("friction", self.friction, v)
-                    if not force * v >= 0:
-                        raise InputError(
-                            f"model.nonlinear.friction: {force:.4g} N at {v:g} m/s pushes; it is the force against "
-                            "the motion: turn its sign"
-                        )
+        self.check_friction(0.0)
+
+    def check_friction(self, stroke_m: float) -> None:
+        """Refuse a friction that, somewhere within a stroke, acts without motion or in its direction."""
+        if self.friction is None:
+            return
+        for x in np.unique([0.0, *np.linspace(-stroke_m, stroke_m, PROBED_PLACES)]).tolist():
+            still = _at("friction", self.friction, 0.0, x)
+            if not abs(still) <= LEAST_N:
+                raise InputError(
+                    f"model.nonlinear.friction: {still:.4g} N at x = {x:.4g} m without motion; it must be zero at "
+                    "v = 0: state what depends on x alone in stiffness"
+                )
+            for v in np.concatenate([PROBED_M_S, -PROBED_M_S]).tolist():
+                force = _at("friction", self.friction, v, x)
+                if not force * np.sign(v) >= -LEAST_N:
+                    raise InputError(
+                        f"model.nonlinear.friction: {force:.4g} N at x = {x:.4g} m, v = {v:.4g} m/s pushes; it is the "
+                        "force against the motion, within limits.stroke_m too: turn its sign there"
+                    )
 
     @property
     def _formulas(self) -> tuple[Formula | None, ...]:
@@ -186,12 +199,12 @@ def _combined(row: Sequence[float], states: Sequence[Any]) -> Any:
     return sum((float(by) * state for by, state in zip(row, states, strict=True) if by != 0), start=0.0)
 
 
-def _at(key: str, formula: Formula, v: float) -> float:
-    """A formula's value at x = 0, i = 0 and a velocity."""
+def _at(key: str, formula: Formula, v: float, x: float = 0.0) -> float:
+    """A formula's value at a velocity, a displacement and i = 0."""
     try:
-        value = float(np.real(formula({"x": 0.0, "v": v, "i": 0.0}, NUMBERS)))
+        value = float(np.real(formula({"x": x, "v": v, "i": 0.0}, NUMBERS)))
     except (ArithmeticError, ValueError, TypeError):
         value = np.nan
     if not np.isfinite(value):
-        raise InputError(f"model.nonlinear.{key}: has no value at x = 0, v = {v:g} m/s: rewrite it")
+        raise InputError(f"model.nonlinear.{key}: has no value at x = {x:g}, v = {v:g} m/s: rewrite it")
     return value

@@ -259,11 +259,12 @@ class Scene(Section):
 
         Raises
         ------
-        InputError : a scene without `model.nonlinear`.
+        InputError : a scene without `model.nonlinear`, or a friction that pushes within `limits.stroke_m`.
         """
         plant = self.model.nonlinear_plant() if isinstance(self.model, MovingCoil) else None
         if plant is None:
             raise InputError(f"{self.name}: model.nonlinear: missing; add it to the scene, or use transopt.build")
+        plant.check_friction(self.limits.stroke_m or 0.0)
         return plant
 
     def at_rest(self) -> Self:

@@ -184,6 +184,14 @@ class TestScene:
         assert_refused(refused, "--grid-tolerance", "model.nonlinear")
         assert not (tmp_path / "out").exists()
 
+    def test_a_friction_that_pushes_within_the_stroke_is_refused_by_one_line(
+        self, tmp_path: Path, terminal: Terminal
+    ) -> None:
+        spring = nonlinear_scene(tmp_path, ("[limits]", 'friction = "300*x"\n[limits]'))
+        refused = terminal("transopt", "solve", spring, "--out", tmp_path / "out")
+        assert_refused(refused, "model.nonlinear.friction", "without motion", "stiffness")
+        assert not (tmp_path / "out").exists()
+
     def test_solve_writes_what_the_design_says(self, tmp_path: Path, terminal: Terminal) -> None:
         out = tmp_path / "out"
         solved = terminal("transopt", "solve", nonlinear_scene(tmp_path), "--out", out)

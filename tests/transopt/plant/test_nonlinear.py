@@ -8,6 +8,7 @@ import pytest
 from pydantic import ValidationError
 
 from tests.benches.actuators import LRA, integrated
+from transopt.base.errors import InputError
 from transopt.plant import nonlinear_stage
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.discretise import AFTER, Motion, discretise
@@ -146,6 +147,7 @@ def test_a_motion_without_a_value_is_not_a_number() -> None:
         ({"stiffness": "K/x"}, "nonlinear.stiffness: has no value at x = 0"),
         ({"friction": "0.01"}, "nonlinear.friction: 0.01 N at rest"),
         ({"friction": "-tanh(v)"}, "turn its sign"),
+        ({"friction": "v*0.05*(1 - (v/0.03)**2)*(1 - (v/0.06)**2)"}, "pushes"),  # between 0.03 and 0.06 m/s alone
         ({"friction": "log(v)"}, "nonlinear.friction: has no value"),
         ({"friction": "open('x')"}, "no part of a formula"),
         ({}, "give force_factor, stiffness or friction"),
@@ -155,6 +157,22 @@ def test_a_motion_without_a_value_is_not_a_number() -> None:
 def test_laws_that_contradict_the_linear_model_are_refused(laws: dict[str, str], said: str) -> None:
     with pytest.raises(ValidationError, match=said):
         lra(nonlinear=laws)
+
+
+@pytest.mark.parametrize(
+    ("friction", "said"),
+    [
+        ("0.1*tanh(v/1e-2)*(1 - 8*(x/0.6e-3)**2)", r"N at x = .* pushes; .* within limits\.stroke_m too"),
+        ("300*x", "without motion; it must be zero"),
+        ("0.1*tanh(v/1e-2)*sqrt(1 - (x/5e-4)**2)", "has no value at x = "),
+    ],
+)
+def test_friction_is_one_over_the_whole_stroke(friction: str, said: str) -> None:
+    plant = plant_of(lra(nonlinear={"friction": friction}))
+    plant.check_friction(1e-5 * (friction != "300*x"))
+    with pytest.raises(InputError, match=said):
+        plant.check_friction(6e-4)
+    plant_of(lra(nonlinear={"friction": "0.1*tanh(v/1e-2)*(1 - (x/0.6e-3)**2)"})).check_friction(6e-4)
 
 
 def test_a_law_of_a_current_needs_one() -> None:
