@@ -67,6 +67,7 @@ class Reference:
     between_m_s : the two recorded speeds that it is blended from; None if its speed was recorded.
     of_grips_N : recorded grips that it is made from: its own or the nearest one, or those it is blended from; empty
         if its taps state no grip and serve every grip.
+    missing_s : end of the tail that its shortest recording does not reach, where r counts as zero.
     slow_part_known : whether frequencies below those of the tap were recorded, so that the unfiltered error has
         meaning.
     name : name of a named target, which has no speed; empty for a tap.
@@ -92,6 +93,7 @@ class Reference:
     factors: FloatArray
     between_m_s: tuple[float, float] | None = None
     of_grips_N: tuple[float, ...] = ()
+    missing_s: float = 0.0
     slow_part_known: bool = True
     name: str = ""
     ends_s: float = math.inf
@@ -298,6 +300,7 @@ def build_reference(
         speed_m_s=speed_m_s,
         grip_N=grip_N,
         slow_part_known=all(tap.slow_part_known for tap in taps),
+        missing_s=max(float(axis.felt_at_s.max()) - end_s, 0.0),
         recorded_m_s2=window,
         recorded_before_m_s2=before,
         recorded_after_m_s2=after,

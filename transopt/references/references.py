@@ -192,6 +192,13 @@ class References:
                 words = f"{_listed(blended)} N: blended from the taps of {_listed(known)} N"
                 speeds.setdefault(words, []).append(speed)
         found = [*self.notes, *(f"{_listed(which)} m/s, {words}" for words, which in speeds.items())]
+        if missing_s := max(cell.missing_s for cell in self.cells):
+            cells = [cell for cell in self.cells if cell.missing_s > 0]
+            found.append(
+                f"{_listed(sorted({cell.speed_m_s for cell in cells}))} m/s: recordings end up to "
+                f"{math.ceil(1e4 * missing_s) / 10:g} ms before the time after the waveform does; from there on the "
+                "recorded acceleration counts as zero: record longer, or lower weights.after_s by as much"
+            )
         if len(grips_N) > 1 and any(not cell.of_grips_N and not cell.name for cell in self.cells):
             found.append(f"the taps state no grip and serve every grip; state it (`# grip_N: 3`): {COST}")
         return found
@@ -228,6 +235,7 @@ def _blend(
         repeatability_unaligned=_larger(a.repeatability_unaligned, b.repeatability_unaligned),
         taps=a.taps + b.taps,
         factors=np.concatenate([scale_a * a.factors, scale_b * b.factors]),
+        missing_s=max(a.missing_s, b.missing_s),
         slow_part_known=a.slow_part_known and b.slow_part_known,
         **others,
     )

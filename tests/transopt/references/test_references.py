@@ -1,5 +1,6 @@
 """The grip axis of references: cells by speed and grip, blends between them, and mixtures that are refused."""
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -48,6 +49,30 @@ def some(scene: Scene, taps: Sequence[Recording], chosen: Chosen) -> References:
 def assert_alike(found: Reference, wanted: Reference) -> None:
     for name in COURSES:
         np.testing.assert_allclose(getattr(found, name), getattr(wanted, name), rtol=1e-12, atol=1e-15)
+
+
+def test_a_recording_that_ends_within_the_tail_is_told_with_what_mends_it(scene: Scene, taps: list[Recording]) -> None:
+    """Unknown is not zero: 10 ms of the tail are missing at one speed."""
+    whole = references_of(scene, taps)
+    assert not whole.remarks([3.0])
+    grid = scene.time_grid()
+    needed_s = float(grid.after_times_s[-1])
+
+    def shortened(recording: Recording) -> Recording:
+        of = next(tap for cell in whole for tap in cell.taps if tap.recording.name == recording.name)
+        x = recording.acceleration
+        cut = round((of.acceleration.end_s - needed_s + 10e-3) / x.dt_s)
+        return replace(recording, acceleration=replace(x, values=x.values[:-cut]))
+
+    last = scene.grid.speeds_m_s[-1]
+    short = [shortened(tap) if abs((tap.speed_m_s or 0) - last) < 0.02 else tap for tap in taps]
+    (said,) = references_of(scene, short).remarks([3.0])
+    found = re.fullmatch(rf"{last:g} m/s: recordings end up to (\S+) ms before .*: record longer, or lower .*", said)
+    assert found is not None, said
+    missing_s = 1e-3 * float(found.group(1))
+    assert missing_s == pytest.approx(10e-3, abs=2e-3)
+    mended = with_values(scene, {"weights.after_s": scene.weights.after_s - missing_s})
+    assert not references_of(mended, short).remarks([3.0])
 
 
 class TestCells:
