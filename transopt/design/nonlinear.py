@@ -7,6 +7,7 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.design.context import Posed
 from transopt.design.optimum import optimum
+from transopt.design.within import why_no_more_instants
 from transopt.plant.nonlinear_stage import NonlinearStage
 from transopt.problem.nonlinear import NonlinearProblem
 from transopt.proof.designed import Designed
@@ -42,7 +43,7 @@ def nonlinear_optimum(posed: Posed, options: SolverOptions) -> Designed:
     if proof.finite:
         # J is a sum of squares, so 0 is a lower bound; no better one is known for a nonconvex program.
         proof = replace(proof, lower_bound=0.0)
-    return Designed(
+    designed = Designed(
         problem=problem,
         solution=found,
         certificate=proof,
@@ -56,3 +57,4 @@ def nonlinear_optimum(posed: Posed, options: SolverOptions) -> Designed:
         nonlinear=on_plant,
         linear=linear,
     )
+    return replace(designed, left_out=why_no_more_instants(designed)) if designed.is_proven else designed

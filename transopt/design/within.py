@@ -54,15 +54,19 @@ def margin_cost(limit: OutputLimit, problem: TransientProblem, multipliers: Mult
 
 
 def why_no_more_instants(designed: Designed) -> dict[str, str]:
-    """Left-out part, a limit on an output at still more instants -> why it is left out."""
+    """Left-out part, a limit on an output at still more instants -> why it is left out.
+
+    A nonlinear plant keeps the switching instants. J is not convex there, so the cost holds to first order only.
+    """
+    known = "at most" if designed.nonlinear is None else "to first order"
     problem, multipliers, J = designed.problem, designed.solution.multipliers, designed.certificate.objective
     found = {}
     for limit in _of_outputs(problem):
         cost = margin_cost(limit, problem, multipliers) / max(J, np.finfo(float).tiny)
         stated = "at the switching instants" if limit.parts == 1 else f"at {limit.parts} instants of a servo period"
         found[f"{limit.label} at more instants"] = (
-            f"it is stated {stated}: the {limit.kept_back:.2g} {limit.unit} that it keeps back between them cost at "
-            f"most {100 * cost:.2g} % of J"
+            f"it is stated {stated}: the {limit.kept_back:.2g} {limit.unit} that it keeps back between them cost "
+            f"{known} {100 * cost:.2g} % of J"
         )
     return found
 

@@ -75,6 +75,7 @@ def nonlinear_markdown(design: Build) -> str:
     for entry in design.all_entries():
         lines += [f"## {entry.target}", "", f"- binds: {entry.binding}"]
         lines += [f"- the linear design leaves on this plant: {sentence}" for sentence in entry.linear_leaves]
+        lines += [f"- {part}: {reason}" for part, reason in entry.designed.left_out.items()]
         lines += [f"- refused: {sentence}" for sentence in refusals(entry)] + [""]
     return "\n".join(lines)
 
@@ -108,6 +109,7 @@ def _figures(entry: Entry) -> dict[str, Any]:
         "iterations": entry.solution.iterations,
         "solve_s": entry.solution.solve_time_s,
         "binding": entry.binding,
+        "left_out": entry.designed.left_out,
     }
 
 

@@ -22,6 +22,7 @@ from transopt.problem.nonlinear import NonlinearProblem
 from transopt.proof import nonlinear_replay
 from transopt.proof.admit import NO_MOTION, admit
 from transopt.proof.nonlinear_replay import replay_nonlinear
+from transopt.report.nonlinear import nonlinear_markdown
 from transopt.scene.builtin import load_scene
 from transopt.solvers.options import SolverOptions
 
@@ -82,6 +83,19 @@ class TestDesign:
         names = {path.name for path in to.write_report(design, tmp_path, figures=False)}
         assert names == {"library.npz", "nonlinear.md", "nonlinear.json", "nonlinear.csv"}
         assert "stationary" in (tmp_path / "nonlinear.md").read_text()
+
+    def test_says_what_the_margin_of_the_stroke_costs(self, design: Build, tmp_path: Path) -> None:
+        """To first order: a stroke that is longer by a tenth of the margin lowers J by a tenth of the cost."""
+        [entry] = design.all_entries()
+        [(part, said)] = entry.designed.left_out.items()
+        stated = re.search(r"the (\S+) m that it keeps back between them cost to first order (\S+) % of J", said)
+        assert stated is not None, said
+        margin_m, cost = float(stated.group(1)), float(stated.group(2)) / 100
+        longer = f"stroke_m = {6e-4 + 0.1 * margin_m:.9g}"
+        [other] = design_nonlinear(nonlinear_scene(tmp_path, ("stroke_m = 6e-4", longer))).all_entries()
+        saved = 1 - other.certificate.objective / entry.certificate.objective
+        assert saved == pytest.approx(0.1 * cost, rel=0.1)
+        assert f"- {part}: {said}" in nonlinear_markdown(design)
 
     def test_is_of_the_public_face(self) -> None:
         assert to.design_nonlinear is design_nonlinear
