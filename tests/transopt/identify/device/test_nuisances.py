@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from tests.benches.identification import AMPLIFIER, DEFAULT, Rig, mismatched, spoilt
 from tests.transopt.identify.device.conftest import SETTINGS
@@ -83,6 +84,19 @@ def test_what_was_found_is_named_with_what_to_do(runs: list[Measurement]) -> Non
     said = " | ".join(str(finding) for finding in result.findings)
     assert "no file states it: taken out of the records" in said
     assert "times what the encoder says" in said
+
+
+def test_a_stated_pole_that_the_records_contradict_may_be_two_clocks(runs: list[Measurement]) -> None:
+    """An accelerometer whose clock is 20 ppm fast looks like one with another pole; read by one clock it does not."""
+
+    def on_its_own_clock(x: np.ndarray) -> np.ndarray:
+        ticks = np.arange(x.size)
+        return CubicSpline(ticks, x)(np.minimum(ticks * (1 + 20e-6), x.size - 1))
+
+    result = identify([spoilt(run, "acceleration", on_its_own_clock) for run in runs], [], SETTINGS)
+    [said] = [str(finding) for finding in result.findings if "accelerometer pole" in str(finding)]
+    assert said.endswith("record both by one clock")
+    assert not identify(runs, [], SETTINGS).causes
 
 
 def test_a_gain_that_no_encoder_contradicts_is_not_sought(runs: list[Measurement]) -> None:
