@@ -82,7 +82,8 @@ class Formula:
     @cached_property
     def functions(self) -> frozenset[str]:
         """Functions that occur in the formula."""
-        return frozenset(node.func.id for node in ast.walk(self._tree) if isinstance(node, ast.Call))
+        calls = (node.func for node in ast.walk(self._tree) if isinstance(node, ast.Call))
+        return frozenset(function.id for function in calls if isinstance(function, ast.Name))
 
     def __call__(self, values: Mapping[str, Any], functions: Functions) -> Any:
         """Evaluate the formula; `values` has every variable, and `functions` can take values of their type."""

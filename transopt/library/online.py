@@ -206,8 +206,8 @@ class Online:
             temperature the library's is used, lowered to the winding's if that is colder.
         limits : values in place of the library's own, by the keys of a scene's `limits`, `command_A` for the
             amplifier's range and `temperature_C` for the winding. Without a certified optimum the blend is then
-            played only if it keeps these limits; otherwise nothing. Nothing is played on a winding above its limit,
-            nor at a measured temperature that no motor has (`WINDING_C`, `HOUSING_C`).
+            played only if it keeps these limits; otherwise nothing. Nothing is played on a winding above its limit
+            or at a measured temperature that no motor has.
 
         Raises
         ------
@@ -429,16 +429,12 @@ def _heated(
     if coil is None:
         return coil, ""
     limit_C = coil.limit_C if limit_C is None else float(limit_C)
-    winding, housing = coil.start_winding_C, coil.start_housing_C
-    if winding_C is not None:
-        winding = finite("winding", winding_C, "C")
-        housing = min(housing, winding)
+    winding = coil.start_winding_C if winding_C is None else finite("winding", winding_C, "C")
+    housing = coil.start_housing_C if winding_C is None else min(coil.start_housing_C, winding)
     if housing_C is not None:
         housing = finite("housing", housing_C, "C")
-    for node, given, value, (low, high) in (
-        ("winding", winding_C, winding, WINDING_C),
-        ("housing", housing_C, housing, HOUSING_C),
-    ):
+    read = ("winding", winding_C, winding, WINDING_C), ("housing", housing_C, housing, HOUSING_C)
+    for node, given, value, (low, high) in read:
         if given is not None and not low <= value <= high:
             return coil, f"{node} {value:.4g} C: a {node} has {low:g} to {high:g} C: check its sensor"
     if winding > limit_C:

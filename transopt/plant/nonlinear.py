@@ -132,8 +132,8 @@ class NonlinearCoil:
                 force = _at("friction", self.friction, v, x)
                 if not force * np.sign(v) >= -LEAST_N:
                     raise InputError(
-                        f"model.nonlinear.friction: {force:.4g} N at x = {x:.4g} m, v = {v:.4g} m/s pushes; it is the "
-                        "force against the motion, within limits.stroke_m too: turn its sign there"
+                        f"model.nonlinear.friction: {force:.4g} N at x = {x:.4g} m, v = {v:.4g} m/s pushes; it is "
+                        "the force against the motion, within limits.stroke_m too: turn its sign there"
                     )
 
     @property

@@ -308,10 +308,10 @@ def _phi(matrix: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatA
 def resolved(stage: NonlinearStage, command: FloatArray, most: float = STEP_ERROR) -> tuple[NonlinearStage, float]:
     """The stage with as many substeps as a command (K,) needs, and the remaining error of y''.
 
-    The error relative to the peak is estimated from the change of y'' with twice the substeps. From l to m substeps it
-    falls by (m / l)^4 where the formulas are smooth, but by as little as (m / l)^2 where they have a kink, as |x|: so
-    the error is at most 4/3 of that change. The number of substeps is raised until the error is at most `most`, or
-    to 32.
+    The error relative to the peak is estimated from the change of y'' with twice the substeps. From l to m substeps
+    it falls by (m / l)^4 where the formulas are smooth, but by as little as (m / l)^2 where they have a kink, as |x|:
+    so the error is at most 4/3 of that change. The number of substeps is raised until the error is at most `most`,
+    or to 32.
     """
     found = replace(stage, substeps=2)
     while True:

@@ -391,7 +391,8 @@ def _sizes(stage: NonlinearStage, input_size: float, stages: int) -> FloatArray:
 
     Friction is left out: at rest it may be so steep that the step is unstable there.
     """
-    rest = replace(stage, plant=replace(stage.plant, friction=None)).linearised(np.zeros(1), np.zeros((2, stage.order)))
+    smooth = replace(stage, plant=replace(stage.plant, friction=None))
+    rest = smooth.linearised(np.zeros(1), np.zeros((2, stage.order)))
     return state_scale(rest.A[0], rest.B[0], input_size, stages)
 
 

@@ -184,7 +184,9 @@ class TestRefusedAnswer:
 
     def test_a_replay_that_does_not_converge_names_the_friction_too(self, tmp_path: Path) -> None:
         steep = ("[limits]", 'friction = "0.01*tanh(v/1e-4)"\n[limits]')
-        [entry] = design_nonlinear(nonlinear_scene(tmp_path, steep), options=SolverOptions(max_iterations=2)).all_entries()
+        [entry] = design_nonlinear(
+            nonlinear_scene(tmp_path, steep), options=SolverOptions(max_iterations=2)
+        ).all_entries()
         _, said = admit(entry.designed, replace(entry.played, step_error=1e-3))
         assert "model.nonlinear.friction rises by 1e+02 N s/m" in next(each for each in said if "converge" in each)
 

@@ -157,7 +157,12 @@ class TestHeat:
 
     @pytest.mark.parametrize(
         ("temperatures", "wrong"),
-        [((-300.0, None), "winding"), ((-41.0, None), "winding"), ((25.0, -242.0), "housing"), ((None, 850.0), "housing")],
+        [
+            ((-300.0, None), "winding"),
+            ((-41.0, None), "winding"),
+            ((25.0, -242.0), "housing"),
+            ((None, 850.0), "housing"),
+        ],
     )
     def test_at_a_faulty_sensor_nothing_is_played_and_the_reason_said(
         self, solver: Online, temperatures: tuple[float | None, float | None], wrong: str

@@ -51,7 +51,9 @@ def assert_alike(found: Reference, wanted: Reference) -> None:
         np.testing.assert_allclose(getattr(found, name), getattr(wanted, name), rtol=1e-12, atol=1e-15)
 
 
-def test_a_recording_that_ends_within_the_tail_is_told_with_what_mends_it(scene: Scene, taps: list[Recording]) -> None:
+def test_a_recording_that_ends_within_the_tail_is_told_with_what_mends_it(
+    scene: Scene, taps: list[Recording]
+) -> None:
     """Unknown is not zero: 10 ms of the tail are missing at one speed."""
     whole = references_of(scene, taps)
     assert not whole.remarks([3.0])

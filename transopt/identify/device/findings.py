@@ -93,8 +93,8 @@ def causes_of(
                 text = f"{one.value:.4g} +- {2 * one.deviation:.2g} Hz found, {about}: taken out of the records"
                 if stated is not None:
                     text += (
-                        "; if that is its pole, acceleration and current run on two clocks, some 20 ppm apart over 2 s, "
-                        "and no interval holds: record both by one clock"
+                        "; if that is its pole, acceleration and current run on two clocks, some 20 ppm apart over "
+                        "2 s, and no interval holds: record both by one clock"
                     )
                 say("unstated accelerometer pole", "accelerometer pole", text)
             elif one.name == "late" and abs(one.value) > READ_LATE:
