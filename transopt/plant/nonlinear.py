@@ -126,7 +126,7 @@ class NonlinearCoil:
             if not abs(still) <= LEAST_N:
                 raise InputError(
                     f"model.nonlinear.friction: {still:.4g} N at x = {x:.4g} m without motion; it must be zero at "
-                    "v = 0: state what depends on x alone in stiffness"
+                    "v = 0: take out what depends on x alone"
                 )
             for v in np.concatenate([PROBED_M_S, -PROBED_M_S]).tolist():
                 force = _at("friction", self.friction, v, x)
