@@ -112,7 +112,7 @@ class PlayedTap:
             return self.why
         prediction, compared = self.prediction, self.compared
         figures = Figures(compared.tap_error, NOTHING, NOTHING, compared.speed, NOTHING, NOTHING, NOTHING)
-        return verdict(figures, prediction.floor, prediction.repeatability, self.compared.levels, "", named=False)
+        return verdict(figures, prediction.floor, prediction.repeatability, self.compared.levels, (), named=False)
 
     def rate_hardness_N_m(self, force_per_current_N_A: float) -> float:
         """Rate-hardness of the rendered surface, from the measured current; NaN if nothing was compared."""

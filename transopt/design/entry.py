@@ -20,7 +20,7 @@ from transopt.design.price import Price, binding, prices
 from transopt.library.answered import Answered
 from transopt.library.columns import COLUMNS, NAN, OF_DIRECTIONS, PAIR, EntryTable
 from transopt.library.multipliers import ARRAYS
-from transopt.problem.answer import Multipliers, Status, verdict
+from transopt.problem.answer import Multipliers, Status, held_back, verdict
 from transopt.problem.limits import kinds_of
 from transopt.problem.objective.bands import Levels, normal_levels
 from transopt.problem.objective.figures import Figures
@@ -348,6 +348,16 @@ class Entry(Answered):
         """Energies of the predicted acceleration over those of r: broadband, as felt, band by band."""
         return normal_levels(self.problem.target, self.predicted_m_s2, self.problem.grid.dt_s)
 
+    @cached_property
+    def held(self) -> list[str]:
+        """The limits that hold the entry back (`transopt.problem.answer.held_back`).
+
+        On a nonlinear plant the optimum without limits is not used: it is that of the plant linearised at rest.
+        """
+        designed = self.designed
+        floor, unlimited = (self.floor, designed.unlimited_objective) if designed.nonlinear is None else (NAN, NAN)
+        return held_back(self.figures.tap_error, floor, designed.certificate.objective, unlimited, self.binding)
+
     @property
     def verdict(self) -> str:
         """How good the entry is (`transopt.problem.answer.verdict`).
@@ -363,7 +373,7 @@ class Entry(Answered):
         # One motor's negative input means that the surface pulls; with several motors it does not.
         least = None if self.problem.stage.motors > 1 else (float(self.plant_input.min()), self.unit)
         return verdict(
-            self.figures, floor, self.repeatability, self.levels, self.binding, named=named, least_input=least
+            self.figures, floor, self.repeatability, self.levels, self.held, named=named, least_input=least
         )
 
 
@@ -376,6 +386,7 @@ VALUES: dict[str, Callable[[Entry], Any]] = {
     "repeats": lambda entry: entry.repeatability,
     "gap": lambda entry: entry.certificate.relative_gap,
     "result": lambda entry: "; ".join([entry.status.value, *entry.shortfalls]),
+    "held": lambda entry: "; ".join(entry.held),
     "verdict": lambda entry: entry.verdict,
 }
 

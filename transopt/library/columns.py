@@ -184,6 +184,7 @@ COLUMNS = {
     "gap": Column("gap", power, "of the certificate, relative to max(J, 1e-3)"),
     "ms": Column("ms", lambda seconds: fixed(seconds, 1, 1e3), "of the solver", array="solve_time_s"),
     "binding": Column("what binds", str, unknown="", array="binding"),
+    "held": Column("held back by", str, "the binding limits that cost tap error or J", unknown=""),
     "result": Column("result", str, unknown=""),
     "verdict": Column(
         "verdict",
@@ -204,6 +205,7 @@ FULL = (
     "after_peak",
     "repeats",
     "peak",
+    "winding",
     "ms",
     "binding",
     "verdict",

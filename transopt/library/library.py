@@ -19,7 +19,7 @@ from transopt.library.meta import most_parts, stated
 from transopt.library.multipliers import ARRAYS, MULTIPLIERS, further_arrays, is_of_entries
 from transopt.library.place import Place, Waveform, finite, interpolation_weights
 from transopt.library.posed import Posed
-from transopt.problem.answer import OBJECTIVE_SCALE, verdict
+from transopt.problem.answer import OBJECTIVE_SCALE, held_back, verdict
 from transopt.problem.objective.bands import normal_levels
 from transopt.problem.objective.figures import Figures
 
@@ -101,6 +101,7 @@ class Library(Posed):
             "linear": (self.tap_error_promised[iv, ig], self.tap_error_linear[iv, ig]),
             "repeats": self._repeatability(iv, ig),
             "gap": self.duality_gap[iv, ig] / max(self.objective[iv, ig], OBJECTIVE_SCALE),
+            "held": "; ".join(self.held(iv, ig)),
             "verdict": self.verdict(iv, ig),
         }
         unknown = () if self.command.ndim > 3 else [COLUMNS[name].array for name in OF_DIRECTIONS]
@@ -113,6 +114,17 @@ class Library(Posed):
                 found[name] = getattr(self, column.array)[iv, ig]
         return TableRow(self.axes.cells(iv, ig), found)
 
+    def held(self, iv: int, ig: int) -> list[str]:
+        """The limits that hold an entry back, see `transopt.problem.answer.held_back`.
+
+        For a nonlinear plant the optimum without limits is that of the plant at rest, so it is not used.
+        """
+        floor, unlimited = (float(array[iv, ig]) for array in (self.floor, self.unlimited_objective))
+        if self.nonlinear:
+            floor, unlimited = NAN, NAN
+        tap_error, objective = float(self.tap_error[iv, ig]), float(self.objective[iv, ig])
+        return held_back(tap_error, floor, objective, unlimited, str(self.binding[iv, ig]))
+
     def verdict(self, iv: int, ig: int) -> str:
         """How good an entry is, see `transopt.problem.answer.verdict`.
 
@@ -124,7 +136,7 @@ class Library(Posed):
             NAN if self.nonlinear else float(self.floor[iv, ig]),
             self._repeatability(iv, ig),
             normal_levels(self.uncorrected(iv, ig), self.acceleration_m_s2[iv, ig], self.dt_s),
-            str(self.binding[iv, ig]),
+            self.held(iv, ig),
             named=bool(self.axes.targets),
             # The sign of one motor's current does not say whether the surface pulls if there are several motors.
             least_input=None if several else (float(self.plant_input[iv, ig].min()), self.driven_by.unit),

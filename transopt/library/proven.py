@@ -181,6 +181,7 @@ WITHIN: dict[str, Callable[[Answered, Any], float]] = {
     "duality_gap": lambda again, value: Certificate.GAP_TOLERANCE * _scale(again),
     "dual_residual": lambda again, value: Certificate.GAP_TOLERANCE / min(again.problem.command_bound, 1.0),
     "floor": lambda again, value: SAME,
+    "unlimited_objective": lambda again, value: SAME * _scale(again),
     "energy": lambda again, value: SAME * value,
     "energy_dB": lambda again, value: LEVEL_dB,
     "heat_price": lambda again, value: SAME * value,
@@ -198,7 +199,15 @@ WITHIN: dict[str, Callable[[Answered, Any], float]] = {
     "tap_error_linear": lambda again, value: FIGURE * value + ROUNDING,
 }
 # Arrays that may be NaN by one method and known by another.
-MAY_BE_UNKNOWN = ("objective", "primal_violation", "duality_gap", "dual_residual", "floor", "tap_error_linear")
+MAY_BE_UNKNOWN = (
+    "objective",
+    "primal_violation",
+    "duality_gap",
+    "dual_residual",
+    "floor",
+    "unlimited_objective",
+    "tap_error_linear",
+)
 
 
 def departures(

@@ -1,7 +1,8 @@
 """The parts of an answer to the problem: status, multipliers, solution, certificate, verdict."""
 
+import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cached_property, lru_cache
@@ -17,7 +18,7 @@ from transopt.problem.objective.figures import Figures
 from transopt.problem.problem import TransientProblem
 
 OBJECTIVE_SCALE = 1e-3  # gaps are relative to J or to this, whichever is larger
-AT_FLOOR = 1e-3  # largest excess of the tap error over the floor that still counts as being at the floor
+AT_FLOOR = 1e-3  # largest excess of the tap error over the floor, and of sqrt(J), that counts as no loss by limits
 MIN_FLOOR_OF_PUSHING_HAND = 0.02  # a larger floor comes from the waveform's end while the hand still pushes
 OTHER_WAVEFORM = 10 ** (JUST_NOTICED_dB / 20) - 1  # felt error of an amplitude off by the just noticeable difference
 MAX_SPEED_OF_PULLING = -0.005  # `Figures.speed` below it prints as negative: the surface pulls the stylus
@@ -249,14 +250,22 @@ class Certificate:
         return f"not certified: its lower bound {self.lower_bound:.8g} lies above it, at {self.merit:.8g}"
 
 
-def held_back(tap_error: float, floor: float, binding: str) -> list[str]:
-    """The limits that hold an entry back, in the words of `binding`; empty for an entry at its floor.
+def held_back(
+    tap_error: float, floor: float, objective: float, unlimited_objective: float, binding: str
+) -> list[str]:
+    """The limits that hold an entry back, in the words of `binding`; empty for an entry that they cost nothing.
+
+    The tap error alone does not tell: J weighs the motion after the waveform as well, so that a limited optimum with
+    a far larger J may have a smaller tap error than the optimum without limits.
 
     Parameters
     ----------
     floor : tap error of the optimum without limits; if it is NaN, every binding limit counts as holding back.
+    objective, unlimited_objective : J of the entry, and of the optimum without limits; NaN if unknown.
     """
-    return [] if tap_error <= floor + AT_FLOOR or binding in ("", "none") else binding.split("; ")
+    costs_J = objective > (math.sqrt(max(unlimited_objective, 0.0)) + AT_FLOOR) ** 2
+    costs = costs_J or not tap_error <= floor + AT_FLOOR
+    return binding.split("; ") if costs and binding not in ("", "none") else []
 
 
 def verdict(
@@ -264,7 +273,7 @@ def verdict(
     floor: float,
     repeatability: float,
     levels: Levels,
-    binding: str,
+    held: Sequence[str],
     *,
     named: bool,
     least_input: tuple[float, str] | None = None,
@@ -280,7 +289,7 @@ def verdict(
     ----------
     floor : tap error of the optimum without limits.
     repeatability : trial-to-mean error of the recordings, NaN if unknown.
-    binding : the binding limits, as `proof.certify.binding_limits` states them.
+    held : the limits that hold the entry back, of `held_back`.
     named : whether the entry is for a named target, which involves no hand.
     least_input : smallest value of the plant's input, and its unit; None if it is not known.
     """
@@ -293,12 +302,12 @@ def verdict(
         said = [f"too {'weak' if off_dB < 0 else 'strong'} by {abs(off_dB):.1f} dB, most {levels.where}"]
     if figures.tap_error <= repeatability:
         said.append("nearer than the recordings to each other")
+    elif held:
+        limits = dict.fromkeys(END_OF_LIMIT_NAME.split(part)[0].strip() for part in held)
+        said.append(f"held back by {' and '.join(limits)}")
     elif figures.tap_error <= floor + AT_FLOOR:
         ends = not named and floor > MIN_FLOOR_OF_PUSHING_HAND
         said.append("at its floor" + (": the waveform ends while the hand pushes" if ends else ""))
-    elif held := held_back(figures.tap_error, floor, binding):
-        limits = dict.fromkeys(END_OF_LIMIT_NAME.split(part)[0].strip() for part in held)
-        said.append(f"held back by {' and '.join(limits)}")
     if figures.speed < MAX_SPEED_OF_PULLING:
         said.append("the surface pulls")
         if least_input is not None and least_input[0] < 0:

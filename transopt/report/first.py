@@ -22,11 +22,11 @@ from transopt.design.build import Build
 from transopt.design.price import Price, library_prices
 from transopt.library.columns import NAN, Row
 from transopt.library.library import Library
-from transopt.problem.answer import END_OF_LIMIT_NAME, MIN_FLOOR_OF_PUSHING_HAND, Status, held_back
+from transopt.problem.answer import AT_FLOOR, END_OF_LIMIT_NAME, MIN_FLOOR_OF_PUSHING_HAND, Status
 from transopt.problem.warm_coil import WarmCoil
 from transopt.scene.scene import Scene
 
-POOR = 0.5  # a larger tap error is poor: half of the tap is missing
+POOR = 0.5  # a larger error is poor: half of the tap is missing, or as much again follows it
 MOST_ROWS = 8  # rows of the matrix; `--table` shows those left out between them
 HELD, BAD, REFUSED = "*", "!", "x"  # marks after a number, and in place of one
 OF_A_MOTOR = re.compile(r" of motor \d+(, which has [\d.]+ of it)?")  # equal limits of several motors are stated once
@@ -90,12 +90,23 @@ class Look:
 
     @cached_property
     def poor(self) -> list[tuple[int, int]]:
-        """Entries with at least half of the tap missing, or perceptibly too weak or too strong."""
-        return [(iv, ig) for iv, ig in self.places if self._is_poor(self.rows[iv][ig])]
+        """Entries with a reason in `why_poor`."""
+        return [(iv, ig) for iv, ig in self.places if self.why_poor(iv, ig)]
 
-    @staticmethod
-    def _is_poor(row: Row) -> bool:
-        return not row.refusal and bool(row.value("tap") >= POOR or row.value("verdict").startswith("too "))
+    def why_poor(self, iv: int, ig: int) -> str:
+        """Why a hand takes an entry for another tap, in words; empty for a good or a refused entry."""
+        row = self.rows[iv][ig]
+        if row.refusal:
+            return ""
+        verdict = str(row.value("verdict")).split(";")[0]
+        missing, felt, after = (float(row.value(name)) for name in ("tap", "felt", "after"))
+        if verdict.startswith("too "):
+            return verdict
+        if missing >= POOR:
+            return f"{percent(missing)} % of it is missing"
+        if felt >= POOR:
+            return f"its waveform is {percent(felt)} % off where fingers feel"
+        return f"an error of {percent(after)} % of it follows after the waveform" if after >= POOR else ""
 
     @cached_property
     def errors(self) -> NDArray[np.float64]:
@@ -109,17 +120,20 @@ class Look:
 
     @cached_property
     def costliest(self) -> tuple[int, int] | None:
-        """The admitted entry farthest above its floor, whose limits cost most and whose prices a report has."""
+        """The admitted entry farthest above its floor, whose limits cost most and whose prices a report has.
+
+        None if no entry is above its floor: prices are in tap error, and what limits cost there lies elsewhere.
+        """
         floors = [[NAN if row.refusal else float(row.value("floor")) for row in rows] for rows in self.rows]
-        return _largest(self.errors - np.array(floors)) if self.floored else None
+        above = self.errors - np.array(floors)
+        farthest = _largest(above) if self.floored else None
+        return farthest if farthest is not None and above[farthest] > AT_FLOOR else None
 
     def held(self, iv: int, ig: int) -> list[str]:
         """The limits that hold an entry back, each with its bound; empty for a refused entry."""
         row = self.rows[iv][ig]
-        if row.refusal:
-            return []
-        floor = float(row.value("floor")) if self.floored else NAN
-        return list(dict.fromkeys(map(stated_limit, held_back(row.value("tap"), floor, row.value("binding")))))
+        held = "" if row.refusal else str(row.value("held"))
+        return list(dict.fromkeys(map(stated_limit, held.split("; ")))) if held else []
 
 
 def _largest(values: NDArray[np.float64]) -> tuple[int, int] | None:
@@ -152,12 +166,10 @@ def head(look: Look) -> str:
     every = "it is" if total == 1 else "all are"
     if poor:
         worst = max(poor, key=lambda place: look.errors[place])
-        verdict = str(look.rows[worst[0]][worst[1]].value("verdict")).split(";")[0]
-        why = verdict if verdict.startswith("too ") else f"{percent(look.errors[worst])} % of it is missing"
         better = "The limits allow no better: " if look.floored else ""
         return (
             f"{look.name}: {len(poor)} of {look.counted(total)} {'is' if len(poor) == 1 else 'are'} poor: at "
-            f"{look.axes.place(*worst)} {why}. "
+            f"{look.axes.place(*worst)} {look.why_poor(*worst)}. "
             f"{better}{every if better else every.capitalize()} {look.proof}."
         )
     return f"{look.name}: {look.counted(total)}, {'' if total == 1 else 'all '}{look.proof}."
@@ -228,7 +240,10 @@ def marks(look: Look) -> list[str]:
     """Explanations of the marks that occur in the matrix."""
     lines = []
     if look.poor:
-        lines.append(f"{BAD} poor: half of the {look.what} is missing, or a hand feels it too weak or too strong")
+        lines.append(
+            f"{BAD} poor: half of the {look.what} is missing, felt otherwise or added after it, or a hand feels it "
+            "too weak or too strong"
+        )
     held = Counter(limit for place in look.places for limit in look.held(*place))
     if held:
         named = [limit for limit, _ in held.most_common()]

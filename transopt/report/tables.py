@@ -12,8 +12,9 @@ from transopt.base.writing import percent
 from transopt.design.build import Build
 from transopt.design.entry import Entry
 from transopt.design.refine_grid import Refinement
-from transopt.library.columns import COLUMNS, FIGURES, OF_DIRECTIONS, EntryTable, TableRow
+from transopt.library.columns import COLUMNS, FULL, EntryTable, TableRow
 from transopt.library.library import Library
+from transopt.report.first import named_limits, stated_limit
 from transopt.scene.plausible import implausible
 from transopt.scene.scene import Scene
 from transopt.scene.sections import covering_lead_s
@@ -69,9 +70,7 @@ def entry_table(source: Build | Library, title: str) -> tuple[Table, str]:
     """Every entry with its figures, for a nonlinear plant also the linear design's; explanation of the columns."""
     scene = source.scene if isinstance(source, Build) else source.scene()
     linear = ("linear",) if scene.nonlinear else ()
-    shown = source.table(
-        (*FIGURES[:1], "floor", *FIGURES[1:], *OF_DIRECTIONS, *linear, "peak", "winding", "binding", "verdict")
-    )
+    shown = source.table([name for name in COLUMNS if name in (*FULL, *linear)])
     caption = source.claim or None if isinstance(source, Library) else None
     striking = ["red" if row.refusal else None for row in shown.rows]
     table = printed(shown, title, caption=caption, striking=striking, columns=len(scene.axes.grips_N))
@@ -125,13 +124,12 @@ def aftermath(build: Build) -> str:
     after_g = after_m_s2(loudest) / STANDARD_GRAVITY_M_S2
     where = f"({loudest.place})"
     if looked:
-        return (
-            f"after the waveform the error still reaches {after_g:.1f} g {where}: more time.stages or "
-            "hand_over_samples calm it"
-        )
+        held = [*dict.fromkeys(map(stated_limit, loudest.held))]
+        why = f": {named_limits(held)} bind{'' if len(held) > 1 else 's'}" if held else ""
+        return f"after the waveform the error still reaches {after_g:.1f} g {where}{why}"
     return (
         f"after the waveform the stylus rings on with up to {after_g:.1f} g {where}, which no term of the problem "
-        "holds down: weights.after_s = 0.03 calms it"
+        "holds down: weights.after_s is 0, by default it is 0.03"
     )
 
 

@@ -22,7 +22,7 @@ from transopt.design.design import design
 from transopt.design.optimum import optimum
 from transopt.design.verify import verify_library
 from transopt.library.proven import doubts
-from transopt.problem.answer import Solution, Status, verdict
+from transopt.problem.answer import Solution, Status, held_back, verdict
 from transopt.problem.limits.temperature import temperature_limit
 from transopt.problem.objective.bands import Levels, levels
 from transopt.problem.objective.figures import Figures
@@ -363,20 +363,20 @@ def test_verdicts() -> None:
         dB: float = 0.0,
         *,
         speed: float = 0.5,
-        binding: str = "none",
+        held: Sequence[str] = (),
         named: bool = False,
         felt_error: float = 0.04,
         **more: Any,
     ) -> str:
         found = Figures(tap_error, felt_error, dB, speed, 0.1, 0.1, 0.1)
-        return verdict(found, 0.17, 0.03, of_intensity(dB, tap), binding, named=named, **more)
+        return verdict(found, 0.17, 0.03, of_intensity(dB, tap), held, named=named, **more)
 
-    held = "command +6 A at -0.13, 0.97 ms; current +4 A at 0.07 ms"
+    held = ["command +6 A at -0.13, 0.97 ms", "current +4 A at 0.07 ms"]
     assert said(0.02) == "felt within 1.6 dB; nearer than the recordings to each other"
     assert said(0.17) == "felt within 1.6 dB; at its floor: the waveform ends while the hand pushes"
     assert said(0.17, named=True) == "felt within 1.6 dB; at its floor"
-    assert said(0.3, -1.5, binding=held) == "felt within 1.6 dB; held back by command and current"
-    assert said(0.3, -3.0, binding=held) == "too weak by 3.0 dB, most at 250 Hz; held back by command and current"
+    assert said(0.3, -1.5, held=held) == "felt within 1.6 dB; held back by command and current"
+    assert said(0.3, -3.0, held=held) == "too weak by 3.0 dB, most at 250 Hz; held back by command and current"
     assert said(0.3, 2.0) == "too strong by 2.0 dB, most at 250 Hz"
     assert said(0.3, speed=-0.1) == "felt within 1.6 dB; the surface pulls"
     assert said(0.17, 0.5, felt_error=0.46).startswith("felt within 1.6 dB, its waveform 46.0 % off; at its floor")
@@ -384,6 +384,16 @@ def test_verdicts() -> None:
     assert said(0.3, speed=-0.004) == "felt within 1.6 dB"
     assert said(0.3, speed=-0.1, least_input=(0.2, "A")) == "felt within 1.6 dB; the surface pulls"
     assert said(0.3, speed=-0.1, least_input=(-1.234, "A")).endswith("; the surface pulls, by up to 1.23 A")
+    assert said(0.17, held=held) == "felt within 1.6 dB; held back by command and current"
+
+
+def test_a_limit_holds_back_if_it_costs_tap_error_or_objective() -> None:
+    both = "command +6 A at -0.13, 0.97 ms; current +4 A at 0.07 ms"
+    assert held_back(0.30, 0.17, 0.04, 0.01, both) == both.split("; ")
+    assert held_back(0.15, 0.17, 0.04, 0.01, both) == both.split("; ")
+    assert held_back(0.17, 0.17, 0.01, 0.01, both) == []
+    assert held_back(0.30, 0.17, 0.04, 0.01, "none") == []
+    assert held_back(0.17, np.nan, 0.01, np.nan, both) == both.split("; ")
 
 
 def test_a_scene_that_asks_for_intensity_stores_price_and_energy(scene: Scene, taps: list[Recording]) -> None:

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,16 +12,16 @@ import transopt as to
 from transopt.base.axes import Axes
 from transopt.design.price import Price
 from transopt.library.columns import TableRow
-from transopt.report.first import MOST_ROWS, Look, head, lines, matrix, next_commands, worst_line
+from transopt.report.first import MOST_ROWS, Look, head, lines, matrix, next_commands, priced, worst_line
+from transopt.report.tables import warnings
 from transopt.scene.keys import with_values
 
 FINE, WEAK = "felt within 1.6 dB", "too weak by 2.4 dB, most at 160 Hz; held back by current"
 BINDS = "command +6 A at -0.13 ms; current +4 A at 1.17 to 3.17 ms"
 
 
-def row(tap: float, floor: float = 0.2, binding: str = "none", verdict: str = FINE, refusal: str = "") -> TableRow:
-    values = {"tap": tap, "floor": floor, "felt": tap / 2, "binding": binding, "verdict": verdict}
-    return TableRow((), values, refusal)
+def row(tap: float, verdict: str = FINE, refusal: str = "", **values: Any) -> TableRow:
+    return TableRow((), {"tap": tap, "floor": 0.2, "felt": tap / 2, "verdict": verdict, **values}, refusal)
 
 
 def look(rows: Sequence[Sequence[TableRow]], axes: Axes | None = None) -> Look:
@@ -47,13 +48,18 @@ def test_all_is_well() -> None:
 
 
 def test_what_is_poor_comes_before_what_is_proven() -> None:
-    for poor, why in ((row(0.6), "60.0 % of it is missing"), (row(0.3, verdict=WEAK), "too weak by 2.4 dB")):
+    for poor, why in (
+        (row(0.6), "60.0 % of it is missing"),
+        (row(0.3, verdict=WEAK), "too weak by 2.4 dB"),
+        (row(0.3, felt=0.7), "its waveform is 70.0 % off where fingers feel"),
+        (row(0.3, after=0.8), "an error of 80.0 % of it follows after the waveform"),
+    ):
         found = look([[row(0.2), poor]])
         said = head(found)
         assert said.startswith("scene: 1 of 2 taps is poor: at 0.1 m/s, 0.2 N ")
         assert said.index(why) < said.index("The limits allow no better: all are proven optimal.")
         assert "!" in matrix(found, 80)[1]
-    held = look([[row(0.3, binding=BINDS, verdict=WEAK)]])
+    held = look([[row(0.3, held=BINDS, verdict=WEAK)]])
     assert "30.0*!" in matrix(held, 80)[1]
 
 
@@ -68,12 +74,12 @@ def test_what_is_refused_comes_first_and_is_marked() -> None:
 
 
 def test_a_mark_says_which_limit_holds_back_and_a_floor_has_none() -> None:
-    found = look([[row(0.3, binding=BINDS), row(0.2, binding=BINDS)]])
+    found = look([[row(0.3, held=BINDS), row(0.2)]])
     assert found.held(0, 0) == ["6 A command", "4 A current"]
     assert found.held(0, 1) == []
-    supply = look([[row(0.3, binding="supply -9 V with the copper at 100 C at -0.13 ms; supply +9 V at 1 ms")]])
+    supply = look([[row(0.3, held="supply -9 V with the copper at 100 C at -0.13 ms; supply +9 V at 1 ms")]])
     assert supply.held(0, 0) == ["9 V supply"]
-    own = look([[row(0.3, binding="knee 0.2 at 3 ms")]])
+    own = look([[row(0.3, held="knee 0.2 at 3 ms")]])
     assert own.held(0, 0) == ["0.2 knee"]
 
 
@@ -83,7 +89,7 @@ def test_any_grid_fits_and_shows_ends_and_worst(shape: tuple[int, int], width: i
     rng = np.random.default_rng(shape[0])
     errors = rng.uniform(0.1, 0.4, shape)
     worst = np.unravel_index(int(np.argmax(errors)), shape)
-    found = look([[row(error, 0.05, BINDS) for error in each] for each in errors])
+    found = look([[row(error, floor=0.05, held=BINDS) for error in each] for each in errors])
     shown = matrix(found, width)
     assert max(map(len, shown)) <= width
     assert len(shown) <= MOST_ROWS + 2
@@ -102,7 +108,7 @@ def test_one_grip_is_a_line_of_speeds_and_nobodys_is_called_free() -> None:
 
 
 def test_targets_are_lines() -> None:
-    found = look([[row(0.2)], [row(0.3, binding=BINDS)]], Axes((0.0, 0.0), (0.0,), ("click", "a" * 90)))
+    found = look([[row(0.2)], [row(0.3, held=BINDS)]], Axes((0.0, 0.0), (0.0,), ("click", "a" * 90)))
     shown = matrix(found, 60)
     assert [line.split()[-1] for line in shown] == ["%", "20.0", "30.0*"]
     assert max(map(len, shown)) <= 60
@@ -110,7 +116,7 @@ def test_targets_are_lines() -> None:
 
 
 def test_the_sentence_says_what_more_of_the_dearest_limit_buys() -> None:
-    found = look([[row(0.2), row(0.3, binding=BINDS)]])
+    found = look([[row(0.2), row(0.3, held=BINDS)]])
     said = worst_line(found, [price()])
     assert said.startswith(
         "Worst: 0.1 m/s, 0.2 N: 30.0 % (felt 15.0 %). The 4 A current limit costs most: with 5 A 25.0 %;"
@@ -119,7 +125,7 @@ def test_the_sentence_says_what_more_of_the_dearest_limit_buys() -> None:
     assert "no certified answer with 5 A" in worst_line(found, [price(then=np.nan)])
     assert "still binds at 120 A" in worst_line(found, [price(enough=np.inf, tried=120.0)])
     # A floor that is higher than all that limits cost: both entries are named.
-    two = look([[row(0.4, floor=0.4), row(0.3, binding=BINDS)]])
+    two = look([[row(0.4, floor=0.4), row(0.3, held=BINDS)]])
     said = worst_line(two, [price()])
     assert "0.1 m/s, 0.1 N: 40.0 %" in said
     assert "costs most at 0.1 m/s, 0.2 N, 30.0 %: with 5 A" in said
@@ -134,6 +140,25 @@ def test_build_and_library_say_the_same() -> None:
     assert of_build[1:] == of_library[1:]
     assert "The 4 A current limit costs most: with 5 A 27.9 %" in of_library[-1][0]
     assert "not checked" in head(Look.of_library(build.library, proven=False))
+
+
+def test_a_short_stroke_holds_back_a_tap_with_less_error_than_its_floor() -> None:
+    changes = {"grid.speeds_m_s": [0.1], "limits.stroke_m": 1e-3}
+    build = to.build(with_values(to.load_scene("single_grip"), changes))
+    ((entry,),) = build.entries
+    assert entry.figures.tap_error < entry.floor
+    assert entry.designed.unlimited_objective < 0.1 * entry.certificate.objective
+    assert entry.verdict.endswith("held back by stroke and command")
+    assert build.library is not None
+    look = Look.of_library(build.library, proven=False)
+    assert look.held(0, 0) == Look.of_build(build).held(0, 0) == ["0.001 m stroke", "6 A command"]
+    assert look.poor == [(0, 0)]
+    assert "held back by the 0.001 m stroke" in worst_line(look, priced(build.library, look))
+    (said,) = warnings(build)
+    assert said.endswith("the 0.001 m stroke and the 6 A command limits bind")
+    # What the manual says of this line: widen the limit, or tap more slowly.
+    for change in ({"limits.stroke_m": 4e-3}, {"grid.speeds_m_s": [0.03]}):
+        assert not warnings(to.build(with_values(build.scene, change)))
 
 
 @pytest.mark.parametrize(("scene", "is_played"), [("wood_on_foam", True), ("hot_coil", True), ("small_coil", False)])
