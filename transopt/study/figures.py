@@ -94,7 +94,7 @@ def panels_of(count: int, most_across: int, wide_in: float, margin_in: float, *,
     for axes in panels.flat[count:]:
         axes.set_visible(False)
     for row in panels:
-        row[0].set_ylabel("tap error [%]", fontsize=LABEL_PT)
+        row[0].set_ylabel("tap error [%], log scale", fontsize=LABEL_PT)
     return figure, panels
 
 
@@ -245,7 +245,6 @@ def question_figure(found: Answer, label_of_key: str) -> Figure:
     axes = figure.subplots()
     style(axes)
     entries = list(dict.fromkeys((row["target"] or row["speed_m_s"], row["grip_N"]) for row in found.tried[0].rows))
-    scale = 100.0 if "tap_error" in requirement.measure or requirement.measure == "floor" else 1.0
     x = [tried.value for tried in found.tried]
     shade, dashes = ({text: j for j, text in enumerate(dict.fromkeys(each))} for each in zip(*entries, strict=True))
     by_speed = colours(len(shade))
@@ -254,20 +253,21 @@ def question_figure(found: Answer, label_of_key: str) -> Figure:
             next(row for row in tried.rows if (row["target"] or row["speed_m_s"], row["grip_N"]) == entry)
             for tried in found.tried
         ]
-        y = [scale * number(row, requirement.measure) if is_admitted(row) else np.nan for row in own]
+        y = [requirement.scale * number(row, requirement.measure) if is_admitted(row) else np.nan for row in own]
         name = entry_name(own[0])
         colour, dash = by_speed[shade[entry[0]]], DASHES[dashes[entry[1]] % len(DASHES)]
         axes.plot(x, y, color=colour, linestyle=dash, linewidth=1.0, marker="o", markersize=2.5, label=name)
-    axes.axhline(scale * requirement.bound, color=DARK, linewidth=0.9, linestyle=":")
+    axes.axhline(requirement.scale * requirement.bound, color=DARK, linewidth=0.9, linestyle=":")
     if found.met is not None:
         axes.axvline(found.met.value, color=SEED, linewidth=1.0, linestyle="--")
     if found.question.log:
         percent_axis(axes, x=True)
-    if scale > 1:
+    if requirement.unit == "%":
         percent_axis(axes)
     axes.set_xlabel(label_of_key, fontsize=LABEL_PT)
-    axes.set_ylabel(f"{requirement.measure}{' [%]' if scale > 1 else ''}", fontsize=LABEL_PT)
-    axes.set_title(f"{requirement.text} (dotted), answer (dashed)", fontsize=LABEL_PT)
+    axes.set_ylabel(axis_label(requirement.measure, requirement.unit), fontsize=LABEL_PT)
+    answered = "" if found.met is None else ", answer (dashed)"
+    axes.set_title(f"{requirement.in_words} (dotted){answered}", fontsize=LABEL_PT)
     if len(entries) <= MOST_PANELS:
         axes.legend(fontsize=6.5, frameon=False, ncols=2)
     return figure

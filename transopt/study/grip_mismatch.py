@@ -98,7 +98,7 @@ def mismatch_figure(found: Sequence[Played]) -> Figure:
         axes.set_title(f"{speed:g} m/s", fontsize=LABEL_PT)
         axes.set_xlabel("grip of the hand [N]", fontsize=LABEL_PT)
         percent_axis(axes)
-    panels[0].set_ylabel("tap error [%]", fontsize=LABEL_PT)
+    panels[0].set_ylabel("tap error [%], log scale", fontsize=LABEL_PT)
     shades = zip(single, colours(len(single)), strict=True)
     handles = [Line2D([], [], color=c, linewidth=1.2, label=f"blind, made for {F:g} N") for F, c in shades]
     handles.append(Line2D([], [], color=SEED, linewidth=1.6, label="made for the grip there is"))

@@ -14,12 +14,12 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.nearest import did_you_mean
-from transopt.base.units import unit_of
+from transopt.base.units import unit_of, words_of
 from transopt.scene.keys import Key, check_value, find_key
 from transopt.scene.scene import Scene
 from transopt.study.axes import Axis, label
 from transopt.study.plan import Plan
-from transopt.study.rows import MEASURES, Row, entry_name, is_admitted, number
+from transopt.study.rows import MEASURES, SHARES, Row, entry_name, is_admitted, number
 
 SCAN = 9
 TOLERANCE = 1e-3  # of the range, unless the user states one
@@ -34,8 +34,27 @@ class Requirement:
     bound: float
 
     @property
+    def unit(self) -> str:
+        """Unit in which bound and measure are shown: percent for a share."""
+        return "%" if self.measure in SHARES else unit_of(self.measure)
+
+    @property
+    def scale(self) -> float:
+        """Factor from the stored number to the shown one."""
+        return 100.0 if self.unit == "%" else 1.0
+
+    def shown(self, value: float, digits: int = 6) -> str:
+        """A value of the measure with its unit."""
+        return f"{self.scale * value:.{digits}g} {self.unit}".rstrip()
+
+    @property
     def text(self) -> str:
-        return f"{self.measure} {'<=' if self.at_most else '>='} {self.bound:g}"
+        return f"{self.measure} {'<=' if self.at_most else '>='} {self.shown(self.bound)}"
+
+    @property
+    def in_words(self) -> str:
+        """The requirement for a figure: "tap error of at most 30 %"."""
+        return f"{words_of(self.measure)} of at {'most' if self.at_most else 'least'} {self.shown(self.bound)}"
 
     def excess(self, row: Row) -> float:
         """Amount by which a row misses the bound, <= 0 if it is met; infinite without a certified answer."""
@@ -45,25 +64,35 @@ class Requirement:
 
 
 def parse_requirement(text: str) -> Requirement:
-    """Parse a requirement such as `tap_error<=0.10`.
+    """Parse a requirement such as `tap_error<=10%` or `tap_error<=0.10`.
 
     Raises
     ------
-    InputError : the measure is unknown, or the text has another form.
+    InputError : the measure is unknown, the text has another form, or a share without % is above 1.
     """
-    found = re.fullmatch(r"\s*(\w+)\s*(<=|>=)\s*(\S+)\s*", text)
+    found = re.fullmatch(r"\s*(\w+)\s*(<=|>=)\s*([^\s%]+)\s*(%?)\s*", text)
     try:
         bound = float(found[3]) if found else math.nan
     except ValueError:
         bound = math.nan
     if found is None or not math.isfinite(bound):
-        raise InputError(f"--require {text}: must be MEASURE<=NUMBER or MEASURE>=NUMBER, as tap_error<=0.10")
+        raise InputError(f"--require {text}: must be MEASURE<=NUMBER or MEASURE>=NUMBER, as tap_error<=10%")
     if found[1] not in MEASURES:
         raise InputError(
             f"--require {text}: {found[1]}: no such measure{did_you_mean(found[1], MEASURES)}; "
             f"one of {', '.join(MEASURES)}"
         )
-    return Requirement(found[1], found[2] == "<=", bound)
+    asked = Requirement(found[1], found[2] == "<=", bound)
+    if found[4]:
+        if asked.unit != "%":
+            raise InputError(f"--require {text}: {found[1]} is no share: state it in {asked.unit or 'its own unit'}")
+        return replace(asked, bound=bound / 100)
+    if asked.unit == "%" and bound > 1:
+        raise InputError(
+            f"--require {text}: {bound:g} is {100 * bound:g} %, at most 1 without %: write "
+            f"{found[1]}{found[2]}{bound:g}% or {found[1]}{found[2]}{bound / 100:g}"
+        )
+    return asked
 
 
 @dataclass(frozen=True)
@@ -209,8 +238,9 @@ class Answer:
         name = entry_name(row)
         if not is_admitted(row):
             return f"{name} ({row['status']}: {row['reason']})"
-        measures = dict.fromkeys(requirement.measure for requirement in self.question.requirements)
-        return f"{name} ({', '.join(f'{measure} = {number(row, measure):.5g}' for measure in measures)})"
+        measures = {requirement.measure: requirement for requirement in self.question.requirements}
+        figures = [f"{measure} = {each.shown(number(row, measure), 5)}" for measure, each in measures.items()]
+        return f"{name} ({', '.join(figures)})"
 
 
 def answer(question: Question, solve: Callable[[list[float]], list[list[Row]]]) -> Answer:

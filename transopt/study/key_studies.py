@@ -221,7 +221,7 @@ def rate_figure(plan: Plan, rows: Sequence[Row]) -> Figure:
     figure = Figure(figsize=(7.4, 3.7), layout="constrained")
     panels = figure.subplots(1, 2)
     for axes, values, label in zip(
-        panels, (used, error), ("greatest beta = |i| / steady current", "tap error [%]"), strict=True
+        panels, (used, error), ("greatest beta = |i| / steady current", "tap error [%], log scale"), strict=True
     ):
         style(axes)
         entry_lines(axes, plan, np.array(rates), values)

@@ -266,7 +266,7 @@ def answer_markdown(scene: Scene, found: Answer, head: Sequence[str]) -> str:
     for tried in found.tried:
         row = found.worst(tried)
         outcome = "met" if tried.met else "missed"
-        figures = [f"{number(row, requirement.measure):.6g}" for requirement in question.requirements]
+        figures = [f"{each.scale * number(row, each.measure):.6g}" for each in question.requirements]
         cells.append(
             [
                 label(tried.value),
@@ -277,7 +277,7 @@ def answer_markdown(scene: Scene, found: Answer, head: Sequence[str]) -> str:
                 f"{number(row, 'relative_gap'):.0e}",
             ]
         )
-    measures = [requirement.measure for requirement in question.requirements]
+    measures = [f"{each.measure} {each.unit}".rstrip() for each in question.requirements]
     lines += ["![answer](answer.png)", "", "## Every value tried, with the entry that decides", ""]
     lines += table([f"{key} {unit}".strip(), "", "entry", *measures, "status", "gap"], cells)
     for name, side in (("where it is met", found.met), ("where it is missed", found.missed)):

@@ -104,6 +104,7 @@ MEASURES = (
     "peak_voltage_V",
     "free_peak",
 )
+SHARES = ("tap_error", "felt_error", "floor")  # measures stored as shares, and stated and shown in percent
 ADMITTED = {status.name for status in Status if status.admitted}
 # Expected outcomes of varied scenes: no such optimum exists, and the row says why. Any further status means that a
 # solver or a proof fell short.

@@ -97,7 +97,7 @@ class TestCommandLine:
         ]
         ran = run("--require", "tap_error<=0.5", "--solve-for", "limits.current_A=2:6:0.2", *words, "--out", "least")
         assert ran.code == 0
-        assert "The least limits.current_A from 2 to 6 A with tap_error <= 0.5 at every entry: " in ran.out
+        assert "The least limits.current_A from 2 to 6 A with tap_error <= 50 % at every entry: " in ran.out
         assert {path.name for path in Path("least").iterdir()} == {
             "rows.csv",
             "study.sqlite",
@@ -145,6 +145,8 @@ class TestCommandLine:
             (["--require", "tap_error<=0.1"], "--require and --solve-for belong together"),
             (["--require", "hardness<=0.1", "--solve-for", "limits.beta=1:2"], "hardness: no such measure"),
             (["--require", "tap_error<0.1", "--solve-for", "limits.beta=1:2"], "must be MEASURE<=NUMBER"),
+            (["--require", "tap_error<=30", "--solve-for", "limits.beta=1:2"], "30 is 3000 %, at most 1 without %"),
+            (["--require", "peak_input<=30%", "--solve-for", "limits.beta=1:2"], "peak_input is no share"),
             (["--require", "tap_error<=0.1", "--solve-for", "limits.beta=2:1"], "LOW must be below HIGH"),
             (
                 ["--require", "tap_error<=0.1", "--solve-for", "limits.beta=0:2"],

@@ -28,7 +28,7 @@ WOOD, OTHER, CLICK = (f"out/{name}/library.npz" for name in ("wood_on_foam", "si
 TAPS = sorted(map(str, (ROOT / "problems/recordings").glob("*.csv")))
 VARIED = ("--vary", "limits.current_A=4,5", "--speed", "0.4", "--executor", "serial", "--out", "study")
 ASKED = (
-    *("--require", "tap_error<=0.30", "--solve-for", "limits.current_A=4:6", "--speed", "0.4", "--grip", "5"),
+    *("--require", "tap_error<=30%", "--solve-for", "limits.current_A=4:6", "--speed", "0.4", "--grip", "5"),
     *("--executor", "serial", "--out", "least"),
 )
 SHEET = (

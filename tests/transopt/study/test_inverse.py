@@ -1,5 +1,6 @@
 """The inverse question: scan, bisection, evidence."""
 
+import re
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing
@@ -15,7 +16,7 @@ from transopt.base.errors import InputError
 from transopt.scene.scene import Scene
 from transopt.study.axes import parse_axis
 from transopt.study.figures import entry_grid
-from transopt.study.inverse import Answer, answer, parse_question
+from transopt.study.inverse import Answer, answer, parse_question, parse_requirement
 from transopt.study.plan import Plan
 from transopt.study.session import run_plan, run_question
 
@@ -71,7 +72,7 @@ class TestSearch:
     def test_none_and_the_end_of_the_range(self, scene: Scene) -> None:
         none = self.ask(scene, lambda A: 0.2 + abs(A - 3.5), "1:6")
         assert none.met is None
-        assert "No limits.current_A of 9 tried from 1 to 6 A meets tap_error <= 0.1" in none.sentences[0]
+        assert "No limits.current_A of 9 tried from 1 to 6 A meets tap_error <= 10 %" in none.sentences[0]
         assert "nearest is 3.5 A" in none.sentences[0]
         every = self.ask(scene, lambda A: 0.05, "1:6")
         assert (every.met.value, every.missed, len(every.tried)) == (1.0, None, 9)
@@ -132,3 +133,16 @@ class TestAnswers:
     def test_refusals(self, scene: Scene, key: str, words: str) -> None:
         with pytest.raises(InputError, match=words):
             parse_question(scene, key, ["tap_error<=0.1"], greatest=False)
+
+
+def test_a_share_is_stated_and_shown_in_percent() -> None:
+    asked = parse_requirement("tap_error<=30%")
+    assert asked.bound == pytest.approx(0.3)
+    assert asked.text == "tap_error <= 30 %"
+    assert asked.in_words == "tap error of at most 30 %"
+    assert parse_requirement("tap_error <= 0.3") == parse_requirement("tap_error <= 30 %")
+    assert parse_requirement("bump_m_s2>=2.5").text == "bump_m_s2 >= 2.5 m/s^2"
+    with pytest.raises(InputError) as refused:
+        parse_requirement("felt_error<=30")
+    for proposed in re.findall(r"felt_error<=[\d.%]+", str(refused.value).partition("write ")[2]):
+        assert parse_requirement(proposed).bound == pytest.approx(0.3)
