@@ -265,7 +265,8 @@ def question_figure(found: Answer, label_of_key: str) -> Figure:
     if requirement.unit == "%":
         percent_axis(axes)
     axes.set_xlabel(label_of_key, fontsize=LABEL_PT)
-    axes.set_ylabel(axis_label(requirement.measure, requirement.unit), fontsize=LABEL_PT)
+    scale = ", log scale" if requirement.unit == "%" else ""
+    axes.set_ylabel(f"{axis_label(requirement.measure, requirement.unit)}{scale}", fontsize=LABEL_PT)
     answered = "" if found.met is None else ", answer (dashed)"
     axes.set_title(f"{requirement.in_words} (dotted){answered}", fontsize=LABEL_PT)
     if len(entries) <= MOST_PANELS:
