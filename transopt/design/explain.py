@@ -139,7 +139,7 @@ def _proven(problem: TransientProblem, linear: Sequence[Limit], options: SolverO
     peaks = {limit.name: max(box.peak for box in values if box.limit.name == limit.name) for limit in linear}
     passed = [limit for limit in linear if not peaks[limit.name] <= limit.stated]
     taken = " and ".join(
-        f"a {limit.label} of {peaks[limit.name]:.3g} {limit.unit}, limit {limit.stated:.8g} {limit.unit}"
+        f"a {limit.label} of {limit.key_scale * peaks[limit.name]:.3g} {limit.key_unit()}, limit {_bound(limit)}"
         for limit in passed
     )
     names = ", ".join(limit.label for limit in passed or linear)
@@ -188,6 +188,11 @@ def _sentence(problem: TransientProblem, limit: Limit, command: FloatArray) -> s
     worst, by = _worst(problem, limit, command)
     time_ms = problem.grid.switching_times_s[int(np.argmax(worst.excess >= (1 - ALIKE) * by))] * 1e3
     return (
-        f"{limit.label} {by:.3g} {limit.step_unit} over its limit {limit.stated:.8g} {limit.unit} at "
+        f"{limit.label} {limit.key_scale * by:.3g} {limit.key_unit(step=True)} over its limit {_bound(limit)} at "
         f"{time_ms:.1f} ms at the least"
     )
+
+
+def _bound(limit: Limit) -> str:
+    """A limit's number with its unit, as its scene key states it."""
+    return f"{limit.key_scale * limit.stated:.8g} {limit.key_unit()}"

@@ -38,7 +38,7 @@ STEP_SHARE = 0.25  # largest step relative to the limit, where the step of its k
 
 @dataclass(frozen=True)
 class Price:
-    """Price of one binding limit, the other limits unchanged.
+    """Price of one binding limit, the other limits unchanged; all bounds are in the unit of the limit's scene key.
 
     Attributes
     ----------
@@ -229,15 +229,15 @@ class _Pricing:
             enough, there = yield from plain._enough(plain.problem.limits[limit.name], free, widest)
         return Price(
             limit=limit.label,
-            unit=limit.unit,
-            step_unit=limit.step_unit,
-            bound=limit.stated,
+            unit=limit.key_unit(),
+            step_unit=limit.key_unit(step=True),
+            bound=limit.key_scale * limit.stated,
             tap_error=self.tap_error,
-            step=step,
+            step=limit.key_scale * step,
             then=np.nan if raised is None else raised.tap_error,
-            enough=enough,
+            enough=limit.key_scale * enough,
             there=there,
-            tried=widest,
+            tried=limit.key_scale * widest,
         )
 
     def _beyond(self, limit: Limit, answer: _Answer) -> float:

@@ -56,7 +56,7 @@ def moved_command(problem: TransientProblem, bound: float) -> TransientProblem:
 
 
 def moved_slew(problem: TransientProblem, bound: float) -> TransientProblem:
-    return with_numbers(problem, slew_A_per_s=bound / problem.grid.dt_s)
+    return with_numbers(problem, slew_A_per_s=bound)
 
 
 def moved_supply(problem: TransientProblem, bound: float) -> TransientProblem:
@@ -103,11 +103,11 @@ def cases(scene: Scene, references: list[Reference]) -> dict[str, Case]:
         "supply 9 V": Case("supply", rail, 9.0, moved_supply),
         "supply 6 V": Case("supply", rail, 6.0, moved_supply),
         "coil 60.05 C": Case("coil", wide, HOT_C + 0.05, moved_coil),
-        "slew 0.5 A/tick": Case("slew", wide.without("temperature"), 0.5, moved_slew),
+        "slew 5000 A/s": Case("slew", wide.without("temperature"), 5000.0, moved_slew),
     }
 
 
-NAMES = ["current 4 A", "current 2 A", "command 3 A", "supply 9 V", "supply 6 V", "coil 60.05 C", "slew 0.5 A/tick"]
+NAMES = ["current 4 A", "current 2 A", "command 3 A", "supply 9 V", "supply 6 V", "coil 60.05 C", "slew 5000 A/s"]
 
 
 def solved(problem: TransientProblem) -> tuple[Designed, float, list[Price]]:
@@ -153,7 +153,8 @@ def test_it_buys_no_more_than_the_multipliers_promise(cases: dict[str, Case], na
     if case.name == "current":
         slope += problem.movement.relief(command)
     had = price.tap_error**2 - price.then**2
-    assert 0 < had <= slope * price.step * (1 + 1e-6)
+    step = price.step / next(limit for limit in problem.limits if limit.label == case.name).key_scale
+    assert 0 < had <= slope * step * (1 + 1e-6)
 
 
 def test_the_slope_of_an_entry_is_what_a_small_step_buys(build: Build, taps: list[Recording]) -> None:
@@ -248,7 +249,7 @@ def by_dense(problem: TransientProblem, rail: dense.Rail | None, name: str, boun
     slew = problem.limits.get("slew")
     step_A = None if slew is None else slew.stated
     if name == "slew":
-        step_A = bound
+        step_A = bound * problem.grid.dt_s
     elif name == "supply":
         assert rail is not None
         rail = replace(rail, limit_V=bound)
@@ -274,17 +275,18 @@ def test_against_an_independent_dense_program(scene: Scene, references: list[Ref
         name, bound = price.limit, price.bound
         now = by_dense(problem, rail, name, bound)
         assert 100 * abs(now.tap_error - error) <= POINT
-        assert now.reached[name] == pytest.approx(bound, rel=1e-6)
+        scale = next(limit for limit in problem.limits if limit.label == name).key_scale
+        assert scale * now.reached[name] == pytest.approx(bound, rel=1e-6)
         then = by_dense(problem, rail, name, bound + price.step)
         assert 100 * abs(price.then - then.tap_error) <= POINT
         free = by_dense(problem, rail, name, price.enough)
         assert 100 * abs(price.there - free.tap_error) <= POINT
         # What is enough is not reached, or more of it buys nothing; and what is little less is reached.
-        if not free.reached[name] < price.enough * (1 - 1e-6):
+        if not scale * free.reached[name] < price.enough * (1 - 1e-6):
             more = by_dense(problem, rail, name, price.enough * 1.01)
             assert 100 * (free.tap_error - more.tap_error) <= POINT / 100
         less = price.enough - 1.1 * last_digit(price.enough - price.bound)
-        assert by_dense(problem, rail, name, less).reached[name] == pytest.approx(less, rel=1e-6)
+        assert scale * by_dense(problem, rail, name, less).reached[name] == pytest.approx(less, rel=1e-6)
 
 
 class TestSteps:

@@ -234,7 +234,7 @@ def test_limits_whose_program_finds_nothing_are_refused_by_their_proof(monkeypat
     monkeypatch.setattr("transopt.design.explain.least_widening", lambda *_: None)
     (reason,) = infeasibility(case.problem(), OPTIONS)
     assert ": proven that no command keeps all limits and ends in what the wall asks for: without limits " in reason
-    assert "A/tick, limit 0.015 A/tick" in reason
+    assert "A/s over its limit 150 A/s" in reason or "A/s, limit 150 A/s" in reason
     plain = StressCase("plain", DrawnDevice(), horizon=SHORT).problem()
     assert infeasibility(plain, OPTIONS) == []
 

@@ -178,7 +178,17 @@ class Limit(ABC):
     def bound_in_words(self, side: str, *, two_sided: bool) -> str:
         """The bound of one side as reports state it where it binds."""
         sign = {"lower": "-", "upper": "+" if two_sided else ""}[side]
-        return f"{sign}{self.stated:.8g}"
+        return f"{sign}{self.key_scale * self.stated:.8g}"
+
+    @property
+    def key_scale(self) -> float:
+        """Factor from a number in `unit` to one in `key_unit`, the unit of the scene key."""
+        return 1.0
+
+    @classmethod
+    def key_unit(cls, *, step: bool = False) -> str:
+        """Unit in which sentences state the limit or, with `step`, differences of it: that of the scene key."""
+        return (cls.step_unit if step else cls.unit).replace("/tick", "/s")
 
     @classmethod
     def concerns(cls, driven_by: Input) -> bool:

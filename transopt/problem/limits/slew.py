@@ -35,6 +35,10 @@ class SlewLimit(Limit):
         """The largest step per tick."""
         return self.rate * self.dt_s
 
+    @property
+    def key_scale(self) -> float:
+        return 1 / self.dt_s
+
     @classmethod
     def posed(cls, asked: Mapping[str, Any], setting: Setting) -> Self | None:
         return cls(asked[cls.key], setting.grid.dt_s)
@@ -53,10 +57,9 @@ class SlewLimit(Limit):
         bound = problem.limits.command_bound(ideal=problem.stage.amplifier is None)
         if self.stated < 2 * bound:
             return ""
-        unit = self.base_unit()
         return (
-            f"no command inside +-{bound:g} {unit} steps by more than {2 * bound:g} {unit} per tick, limit "
-            f"{self.stated:g} {unit}"
+            f"no command inside +-{bound:g} {self.base_unit()} changes faster than "
+            f"{2 * bound * self.key_scale:g} {self.key_unit()}, limit {self.rate:g} {self.key_unit()}"
         )
 
 

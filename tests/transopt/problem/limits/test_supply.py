@@ -259,7 +259,7 @@ class TestBinding:
         movement = np.abs(np.diff(designed.solution.command, prepend=0.0))
         assert movement.max() == pytest.approx(0.5, abs=1e-9)
         text = binding_limits(problem, designed.solution.command, designed.solution.multipliers)
-        assert "slew +0.5 A/tick" in text
+        assert "slew +5000 A/s" in text
 
 
 class TestInfeasible:
