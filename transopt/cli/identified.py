@@ -87,14 +87,15 @@ def finish(
     InputError : a file cannot be written.
     typer.Exit : the part falls short of what a design needs.
     """
-    from transopt.scene.model_file import save_part
+    from transopt.scene.model_file import load_model, save_part
 
     save_part(out, name, part)
+    uncounted = load_model(out).uncounted
     tell(*filter(None, (f"{out}, {draw(out, name, figure).name}", note)))
     # The file has one sentence, in which the shortfalls come last; here each has a line of its own.
     verdict = part.verdict.removesuffix("; ".join(part.shortfalls)).rstrip(":; ")
     tell(
-        f"verdict: {verdict}",
+        f"verdict: {'; '.join(filter(None, [verdict, uncounted if name == 'device' else '']))}",
         *(f"short: {each}" for each in part.shortfalls),
         style="red" if part.shortfalls else None,
     )

@@ -95,19 +95,20 @@ def model_warning(build: Build) -> str:
     if not errors:
         return ""
     worst, error = max(errors, key=lambda one: one[1])
-    middle = float(np.median([one for _, one in errors]))
+    middle, model = float(np.median([one for _, one in errors])), build.scene.model
+    end = f"; {model.uncounted}" if isinstance(model, IdentifiedModel) and model.uncounted else ""
     text = (
         f"model error {percent(middle)} % of a tap (median; at most {percent(error)} %, at {worst.speed_m_s:g} m/s, "
         f"{worst.grip_N:g} N)"
     )
     below = below_the_model(build)
     if not below:
-        return text
+        return f"{text}{end}"
     one = min(below, key=lambda entry: entry.figures.tap_error)
     return (
         f"{text}: above the design's own in {len(below)} of {sum(1 for _ in build.all_entries())} entries, as at "
         f"{one.speed_m_s:g} m/s, {one.grip_N:g} N, where the design says {percent(one.figures.tap_error)} %: expect "
-        "the model's error on the device"
+        f"the model's error on the device{end}"
     )
 
 

@@ -367,3 +367,13 @@ class ModelParts(Section):
     device: DevicePart | None = None
     hand: HandPart | None = None
     coil: CoilPart | None = None
+
+    @property
+    def uncounted(self) -> str:
+        """What the device's verdict does not count, and what to do; empty if nothing, or if there is no device."""
+        if self.device is None or self.amplifier is not None:
+            return ""
+        return (
+            "not counted: the amplifier, which is the scene's and not identified; what it is off by comes on top: "
+            "identify it (transopt identify amplifier), then the device again"
+        )

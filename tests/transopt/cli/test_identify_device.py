@@ -47,6 +47,7 @@ def test_the_command_writes_model_and_figure(folder: Path, tmp_path: Path) -> No
     code, output, _ = call(*sorted(folder.glob("sweep_*")), "--out", out, "--kind", "drive", "--validate", burst)
     assert code == 0, output
     assert "verdict: model error 1.1 % of a tap" in output  # the crossover, which the burst was commanded through
+    assert "not counted: the amplifier, which is the scene's and not identified" in output
     assert "the amplifier follows no command below" in output
     assert "which sweeps cannot tell (--force-per-current)" in output
     assert "moving_mass_kg" in output

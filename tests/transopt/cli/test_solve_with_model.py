@@ -39,6 +39,13 @@ class TestOneCommand:
         assert library.amplifier().pole_Hz == 900.0
         assert {source["origin"] for source in library.meta["sources"]} >= {"model file"}
 
+    def test_an_amplifier_that_is_the_scenes_is_said_to_be_uncounted(self, run: Run) -> None:
+        save_part(MODEL, "device", drive_device())
+        words = ("solve", quick("mine.toml"), "--model", MODEL, "--no-figures")
+        assert "; not counted: the amplifier, which is the scene's and not identified" in run(*words).out
+        save_part(MODEL, "amplifier", amplifier_part(900.0, 250e-6))
+        assert "not counted" not in run(*words).out
+
     def test_the_printed_line_works_where_all_else_stays(self, run: Run) -> None:
         heavier()
         line = next_step(MODEL).splitlines()[-1]

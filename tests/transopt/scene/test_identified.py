@@ -304,6 +304,7 @@ class TestReport:
         assert "above the design's own in 2 of 6 entries" in model_warning(identified)
         assert "model error 20.0 % of a tap" in model_warning(identified)
         assert build_markdown(identified, full=False).count("Model error 20.0 %") == 1
+        assert "not counted" not in model_warning(identified)
 
     def test_sources_name_the_model_file_and_what_it_was_fitted_to(self, identified: Build, tmp_path: Path) -> None:
         sources = identified.library.meta["sources"]
