@@ -41,14 +41,14 @@ if TYPE_CHECKING:
     from transopt.proof.replay import Replay, replay
     from transopt.recordings.recording import Recording
     from transopt.recordings.settings import Recordings
-    from transopt.recordings.tap import prepare, read_recordings
+    from transopt.recordings.tap import prepare
     from transopt.references.reference import Reference
     from transopt.references.references import References
     from transopt.report.write import write_report
     from transopt.scene.builtin import load_scene, scene_names
     from transopt.scene.file import with_model, with_plant
     from transopt.scene.keys import with_values
-    from transopt.scene.recordings import recordings_of, references_of
+    from transopt.scene.recordings import read_recordings, recordings_of, references_of
     from transopt.scene.scene import Scene
     from transopt.solvers.choose import solve as solve_problem
     from transopt.solvers.options import SolverOptions
@@ -137,7 +137,7 @@ _HOME = {
     "own_limit": "solvers.own",
     "page": "web.serve",
     "prepare": "recordings.tap",
-    "read_recordings": "recordings.tap",
+    "read_recordings": "scene.recordings",
     "recordings_of": "scene.recordings",
     "references_of": "scene.recordings",
     "replay": "proof.replay",

@@ -183,6 +183,11 @@ class TestShown:
         assert len(repr(online)) <= FITS
         assert len(repr(online.solve(0.33, 2.0))) <= FITS
 
+    def test_a_waveform_shows_places_of_an_arm_alone(self, library: to.Library) -> None:
+        found = library.at(0.33, 2.0)
+        assert "normal" not in repr(found)
+        assert "normal=2," in repr(replace(found, normal=2.0))
+
     def test_what_a_repr_says(self, build: to.Build, library: to.Library) -> None:
         assert repr(library) == (
             "Library(wood_on_foam: 4 speeds 0.1 to 0.4 m/s, 3 grips 1 to 5 N, 800 commands of 0.1 ms, limit 4 A,\n"
@@ -248,3 +253,55 @@ class TestFigures:
         assert any(curve.size == N + 300 and np.allclose(curve[:N], entry.plant_input) for curve in curves)
         assert above.get_title() == "grip 5 N"
         assert below.get_ylabel() == "current [A]"
+
+
+class TestFilesByPath:
+    """Recordings given by the paths of files and folders, as the command line takes them."""
+
+    @pytest.fixture
+    def folder(self, tmp_path: Path) -> Path:
+        taps = to.recordings_of(to.load_scene("single_grip"))
+        there = tmp_path / "taps"
+        there.mkdir()
+        for tap in taps[:2]:
+            lines = [f"# speed_m_s: {tap.speed_m_s}", f"# grip_N: {tap.grip_N}", "time_s,acceleration_m_s2"]
+            signal = tap.acceleration
+            lines += [f"{signal.start_s + k * signal.dt_s:.7f},{a:.6f}" for k, a in enumerate(signal.values)]
+            (there / f"{len(list(there.iterdir()))}.csv").write_text("\n".join(lines), encoding="utf-8")
+        return there
+
+    def test_reading(self, folder: Path) -> None:
+        files = sorted(folder.iterdir())
+        names = [each.name for each in files]
+        for given in (folder, str(folder), files, [str(each) for each in files], tuple(files)):
+            assert [tap.name for tap in to.read_recordings(given)] == names
+        assert [tap.name for tap in to.read_recordings(files[0])] == names[:1]
+
+    def test_solving(self, folder: Path) -> None:
+        scene = to.with_values(to.load_scene("single_grip"), {"grid.speeds_m_s": [0.1]})
+        by_path = to.solve(scene, sorted(folder.iterdir()))
+        by_value = to.solve(scene, to.read_recordings(folder))
+        assert by_path.tap_error == pytest.approx(by_value.tap_error)
+
+    @pytest.mark.parametrize("given", [7, [7], [None], {"a.csv": 1}, ["a.csv", 7]])
+    def test_what_is_neither_is_refused_in_a_line(self, given: Any) -> None:
+        for call in (to.read_recordings, lambda each: to.solve("single_grip", each)):
+            with pytest.raises(to.InputError, match="neither a Recording nor the path"):
+                call(given)
+
+    def test_a_file_that_is_not_there(self) -> None:
+        with pytest.raises(to.InputError, match=r"a\.csv"):
+            to.solve("single_grip", ["a.csv"])
+
+    def test_a_library_is_an_npz_file(self, library: to.Library, tmp_path: Path) -> None:
+        with pytest.raises(to.InputError, match=r"name it .*x\.npz; transopt\.export_library"):
+            library.save(tmp_path / "x.csv")
+        assert list(tmp_path.iterdir()) == []
+        library.save(tmp_path / "x.npz")
+
+    def test_the_reason_of_a_refusal_is_whole(self) -> None:
+        scene = to.with_values(to.load_scene("single_grip"), {"limits.stroke_m": 3e-4})
+        with pytest.raises(to.InputError) as refused:
+            to.solve(scene)
+        assert "..." not in str(refused.value)
+        assert re.search(r"limits\.stroke_m = [\d.e-]+ m", str(refused.value))

@@ -3,7 +3,7 @@
 import base64
 import io
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from html import escape
@@ -28,7 +28,13 @@ def brief(value: object) -> str:
     An array is shown by its shape and range, a value with fields of its own by its class name. Fields that are None
     are not shown. Fields beyond the length limit are only counted.
     """
-    shown = [f"{name}={summary(part)}" for name, part in _parts(value) if part is not None]
+    return brief_without((), value)
+
+
+def brief_without(hidden: Container[str], value: object) -> str:
+    """`brief` without the fields of these names."""
+    parts = [(name, part) for name, part in _parts(value) if part is not None and name not in hidden]
+    shown = [f"{name}={summary(part)}" for name, part in parts]
     fitting, length = 0, len(type(value).__name__)
     while fitting < len(shown) and length + len(shown[fitting]) + 2 <= LONGEST:
         length += len(shown[fitting]) + 2

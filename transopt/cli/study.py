@@ -65,7 +65,8 @@ def study(
         bool, typer.Option("--full", help="Baselines and prices of the limits too (3 times as long).")
     ] = False,
     require: Annotated[
-        list[str] | None, typer.Option(metavar="MEASURE<=NUMBER", help="What --solve-for is to meet, as tap_error<=30%; repeatable.")
+        list[str] | None,
+        typer.Option(metavar="MEASURE<=NUMBER", help="What --solve-for is to meet, as tap_error<=30%; repeatable."),
     ] = None,
     solve_for: Annotated[
         str | None, typer.Option(metavar="KEY=LOW:HIGH[:TOLERANCE]", help="The least value that meets --require.")

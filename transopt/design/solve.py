@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from transopt.base.errors import InputError
-from transopt.base.shown import cut
 from transopt.base.signals import FloatArray
 from transopt.base.threads import one_blas_thread
 from transopt.design.build import Build, build_library
@@ -14,7 +13,7 @@ from transopt.problem.answer import Certificate, Multipliers
 from transopt.problem.problem import TransientProblem
 from transopt.recordings.recording import Recording
 from transopt.scene.builtin import load_scene
-from transopt.scene.recordings import recordings_of
+from transopt.scene.recordings import Files, recordings_in, recordings_of
 from transopt.scene.scene import Scene
 from transopt.solvers.choose import check_name, prove
 from transopt.solvers.options import SolverOptions
@@ -23,7 +22,7 @@ from transopt.solvers.options import SolverOptions
 @one_blas_thread()
 def build(
     scene: Scene | str | Path,
-    recordings: Sequence[Recording] | None = None,
+    recordings: Sequence[Recording] | Files | None = None,
     *,
     options: SolverOptions | None = None,
     grid_tolerance: float | None = None,
@@ -35,7 +34,7 @@ def build(
     Parameters
     ----------
     scene : a scene, the name of a built-in one, or the path of a .toml file.
-    recordings : to be reproduced in place of those that the scene names.
+    recordings : to be reproduced in place of those that the scene names, or paths of files or folders with them.
     options : solver and its tolerance; the default is the project's own method.
     grid_tolerance : nodes are added until a blend between them is this close to the optimum (0.02: 2 %), but not
         beyond `grid_cap`; without it the scene's grid is taken as it stands.
@@ -52,7 +51,7 @@ def build(
     check_name(options.solver)
     if grid_tolerance is not None:
         check_tolerance(loaded, grid_tolerance, grid_cap)
-    taps = recordings_of(loaded) if recordings is None else recordings
+    taps = recordings_of(loaded) if recordings is None else recordings_in(loaded, recordings)
     refinement = None
     if grid_tolerance is not None:
         refinement = refine_grid(loaded, taps, grid_tolerance, cap=grid_cap, options=options)
@@ -61,7 +60,7 @@ def build(
 
 def solve(
     scene: Scene | str | Path,
-    recordings: Sequence[Recording] | None = None,
+    recordings: Sequence[Recording] | Files | None = None,
     *,
     options: SolverOptions | None = None,
     grid_tolerance: float | None = None,
@@ -96,7 +95,7 @@ def solve(
     reason = "; ".join(first.shortfalls) or first.status.value
     raise InputError(
         f"{made.scene.name}: {len(made.refused)} of {count} entries refused, the first at "
-        f"{first.place}: {cut(reason, 200)}; transopt.build returns all of them with their reasons"
+        f"{first.place}: {reason}; transopt.build returns all of them with their reasons"
     )
 
 

@@ -250,8 +250,11 @@ class Library(Posed):
 
         Raises
         ------
-        InputError : the folder cannot be written.
+        InputError : the name does not end in .npz, or the folder cannot be written.
         """
+        if Path(path).suffix.lower() != ".npz":
+            other = "; transopt.export_library and export_drive write other formats" if Path(path).suffix else ""
+            raise InputError(f"{path}: a library is an .npz file: name it {Path(path).with_suffix('.npz')}{other}")
         arrays = self.arrays()
         with whole_file(Path(path)) as file:
             np.savez_compressed(file, **arrays)  # type: ignore[arg-type]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from transopt.base.errors import InputError
-from transopt.base.shown import brief, cut
+from transopt.base.shown import brief_without, cut
 from transopt.base.signals import FloatArray
 
 
@@ -52,7 +52,10 @@ class Waveform(Place):
     command: FloatArray = field(kw_only=True)
     transient_command: FloatArray = field(kw_only=True)
 
-    __repr__ = brief
+    def __repr__(self) -> str:
+        """All fields; without those of an arm's places where it is the first, the only one of other devices."""
+        elsewhere = self.at != (1.0, 1.0) or self.place_clamped
+        return brief_without(() if elsewhere else ("normal", "posture", "place_clamped"), self)
 
 
 def finite(what: str, value: Any, unit: str) -> float:

@@ -433,7 +433,9 @@ def binding_limits(
             if not at.size:
                 continue
             two_sided = bool(np.isfinite(box.lower).any())
-            label = f"{box.name} {box.limit.bound_in_words(side, two_sided=two_sided)} {box.limit.key_unit()}".rstrip()
+            label = (
+                f"{box.name} {box.limit.bound_in_words(side, two_sided=two_sided)} {box.limit.key_unit()}".rstrip()
+            )
             label = f"{label} {box.condition}".rstrip()
             stages[label] = np.union1d(stages[label], at) if label in stages else at
     found = sorted((int(at[0]), label) for label, at in stages.items())

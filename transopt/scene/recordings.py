@@ -2,17 +2,65 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 
+from transopt.base.errors import InputError
+from transopt.base.shown import cut
 from transopt.base.signals import FloatArray
 from transopt.plant.intention import FreeMotion
 from transopt.recordings.recording import Recording
-from transopt.recordings.tap import read_recordings
+from transopt.recordings.settings import Recordings
+from transopt.recordings.tap import read_recordings as read_files
 from transopt.references.reference import Free
 from transopt.references.references import References, build_references
 from transopt.references.references import sampled_again as taps_sampled_again
 from transopt.references.targets import target_references
 from transopt.scene import strikes
 from transopt.scene.scene import Scene
+
+Files = str | Path | Sequence[str | Path]
+
+
+def read_recordings(given: Recordings | Files) -> list[Recording]:
+    """Load the taps in files; a file with several gives one recording per tap.
+
+    Parameters
+    ----------
+    given : the table `[recordings]` of a scene, or paths of files and of folders whose files are all read.
+
+    Raises
+    ------
+    InputError : neither of these, or a file or a setting that `transopt.recordings.tap.read_recordings` refuses.
+    """
+    return read_files(given if isinstance(given, Recordings) else _of_files(given, Recordings()))
+
+
+def _of_files(given: object, settings: Recordings) -> Recordings:
+    """Settings by which these files are read, in place of their own files or simulated taps."""
+    paths = [given] if isinstance(given, str | Path) else list(given) if isinstance(given, Sequence) else [given]
+    names: list[str] = []
+    for path in paths:
+        if not isinstance(path, str | Path):
+            raise InputError(
+                f"recordings: {cut(repr(path), 60)} is neither a Recording nor the path of a file or folder"
+            )
+        own = Path(path).resolve()
+        names += map(str, sorted(each for each in own.iterdir() if each.is_file()) if own.is_dir() else [own])
+    return settings.model_copy(update={"files": tuple(names), "simulated": None})
+
+
+def recordings_in(scene: Scene, given: Sequence[Recording] | Files) -> list[Recording]:
+    """Recordings as they are, or those in files, which are read as the scene's table `[recordings]` says.
+
+    Raises
+    ------
+    InputError : as of `read_recordings`.
+    """
+    if not isinstance(given, str | Path):
+        loaded = [each for each in given if isinstance(each, Recording)] if isinstance(given, Sequence) else []
+        if isinstance(given, Sequence) and len(loaded) == len(given):
+            return loaded
+    return read_files(_of_files(given, scene.recordings))
 
 
 def recordings_of(scene: Scene) -> list[Recording]:
@@ -24,7 +72,7 @@ def recordings_of(scene: Scene) -> list[Recording]:
     """
     if scene.recordings.simulated is not None:
         return strikes.recordings(scene)
-    return read_recordings(scene.recordings) if scene.recordings.files else []
+    return read_files(scene.recordings) if scene.recordings.files else []
 
 
 def free_of(scene: Scene) -> Free:

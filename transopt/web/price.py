@@ -58,7 +58,9 @@ def _solved(posed: Posed, entry: Entry, price: Price, options: SolverOptions) ->
         return {}  # a share of a temperature has no meaning, as its zero is arbitrary
     widest = price.enough if np.isfinite(price.enough) else price.bound + price.step
     bounds = np.linspace(TIGHTEST * price.bound, max(widest, price.bound), POINTS + 2)[:-1]
-    problems = [posed.problem.replaced(limit.raised((float(bound) - price.bound) / limit.key_scale)) for bound in bounds]
+    problems = [
+        posed.problem.replaced(limit.raised((float(bound) - price.bound) / limit.key_scale)) for bound in bounds
+    ]
     found = design([replace(posed, problem=problem) for problem in problems], options=options)
     return {
         float(bound): other.problem.yardstick.tap_error(other.uncorrected, other.predicted_m_s2)
