@@ -4,7 +4,7 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar, get_args
@@ -18,9 +18,12 @@ from transopt.base.nearest import did_you_mean
 from transopt.base.section import Section
 from transopt.base.shown import cut
 from transopt.base.sizes import MOST_TEXT_BYTES
+from transopt.base.units import unit_of
 
 Read = TypeVar("Read", bound=Section)
 NOTHING_REPLACED: Mapping[str, str] = MappingProxyType({})
+MOST_OTHERS = 3  # further keys that a message names
+SMALLER_TOO = ("m", "s", "A", "V", "H", "N")  # units of which thousandths and millionths are stated as well
 # Pydantic's message where a table is expected, which names classes.
 _A_TABLE = re.compile(r"Input should be a valid dictionary or (instance of \w+|object to extract fields from)")
 
@@ -158,7 +161,7 @@ def explain(
     # A misspelt key is named before the key that is missing because of it.
     first = min(error.errors(), key=lambda complaint: complaint["type"] != "extra_forbidden")
     keys = _keys_only(first, content)
-    where = ".".join(str(key) for key in keys)
+    where = _path(keys)
     if first["type"] == "extra_forbidden":
         known = _known_keys(keys, content, kind)
         if where in replaced:
@@ -173,13 +176,31 @@ def explain(
         message = in_words(_A_TABLE.sub("must be a table", first["msg"]))
         if first["type"] == "float_parsing":
             message = "must be a number without quotes and unit: the key's name states the unit"
+        bounds = [value for name, value in first.get("ctx", {}).items() if name in ("gt", "ge", "lt", "le")]
+        if bounds:
+            message += _unit_and_hint(where, first["input"], bounds[0], above=first["type"].startswith("less_than"))
         shown = "" if isinstance(first["input"], dict | BaseModel) else f" = {cut(repr(first['input']))}"
         text = f"{where}{shown}: {message}" if where else message
     others = {_keys_only(complaint, content) for complaint in error.errors()}
     # Complaints about a table that contains this key come from the other members of a union; they are not counted.
     elsewhere = [other for other in others if other != keys[: len(other)]]
-    more = f" (and {len(elsewhere)} more)" if elsewhere else ""
+    names = sorted(map(_path, elsewhere))
+    more = f" (and {len(names)} more: {', '.join(names[:MOST_OTHERS])})" if names else ""
     return f"{source}: {text}{more}"
+
+
+def _path(keys: Sequence[str | int]) -> str:
+    """Dotted path of a key; an item of a list is counted from 1: `targets#2.frequency_Hz`."""
+    return "".join(f"#{key + 1}" if isinstance(key, int) else f".{key}" for key in keys).removeprefix(".")
+
+
+def _unit_and_hint(where: str, value: Any, bound: float, *, above: bool) -> str:
+    """The unit of a bound, and the smaller unit that a value above the bound was probably meant in."""
+    unit, meant = unit_of(where), ""
+    if above and unit in SMALLER_TOO and isinstance(value, int | float):
+        smaller = ((f"m{unit}", 1e-3), (f"u{unit}", 1e-6))
+        meant = next((f" (did you mean {value:g} {name}?)" for name, by in smaller if value * by <= bound), "")
+    return f" {unit}".rstrip() + meant
 
 
 def toml_key(name: str) -> str:

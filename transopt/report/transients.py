@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -33,7 +34,9 @@ if TYPE_CHECKING:  # a library that draws itself does not load the designer
 
 MARKERS = "os^Dv<>P"
 OTHER_MOTORS = ("--", ":")  # line styles of the motors after the first
-BINDING = "0.86"
+BINDING = "0.5"
+BINDING_STRIP = 0.022  # height of the strip that shows where a waveform's limit binds, as a share of the panel
+DARKER = 0.55  # factor on the colour of a waveform for its reference
 END: dict[str, Any] = {"color": "0.5", "linewidth": 0.9, "linestyle": "-."}  # marks the end of the waveform
 
 MOST_SPEEDS, MOST_GRIPS = 8, 6  # the number of markers; more would not be legible
@@ -143,9 +146,9 @@ class Transients:
         binds = at_limit & (self.input_multiplier > BINDING_MULTIPLIER)
         return np.asarray(binds if self.bounds is None else binds.any(axis=2))
 
-    def binding_spans_ms(self, ig: int) -> list[tuple[float, float]]:
-        """Intervals in which the limit binds at a grip for at least one speed."""
-        active = np.any(self.limit_binds[:, ig], axis=0)
+    def binding_spans_ms(self, iv: int, ig: int) -> list[tuple[float, float]]:
+        """Intervals in which the limit binds for one entry."""
+        active = self.limit_binds[iv, ig]
         edges = np.flatnonzero(np.diff(np.concatenate([[0], active.astype(int), [0]])))
         start_ms, half_ms = self.grid.switching_times_s * 1e3, 0.5e3 * self.grid.dt_s
         return [
@@ -276,15 +279,11 @@ def transients_figure(drawn: Transients) -> Figure:
     binds = False
     for (column, ig), (at, part) in itertools.product(enumerate(shown_grips), enumerate(parts)):
         above, below = panels[:, column, at]
-        spans = drawn.binding_spans_ms(ig)
-        binds = binds or bool(spans)
         for axes in (above, below):
             style(axes)
             axes.axhline(0.0, color="0.6", linewidth=0.6)
             if grid.after_stages:
                 axes.axvline(ends_ms, **END)
-            for span in spans:
-                axes.axvspan(*span, color=BINDING, linewidth=0)
         for line, iv in enumerate(shown_speeds):
             line_style: dict[str, Any] = {
                 "label": named[iv] if named else f"{speeds[iv]:g} m/s",
@@ -299,10 +298,16 @@ def transients_figure(drawn: Transients) -> Figure:
                 above.plot(times_ms, across, color=shades[line], linewidth=0.7)
             current, *others = np.atleast_2d(drawn.plant_input[iv, ig])
             below.plot(times_ms, current, linewidth=1.3, **line_style)
+            for span in drawn.binding_spans_ms(iv, ig):
+                # A strip along the lower edge for each waveform, in its colour, so that one sees whose limit binds.
+                low, high = line * BINDING_STRIP, (line + 0.8) * BINDING_STRIP
+                below.axvspan(*span, ymin=low, ymax=high, color=shades[line], linewidth=0)
+                binds = True
             for j, motor in enumerate(others):
                 below.plot(times_ms, motor, color=shades[line], linewidth=1.0, linestyle=OTHER_MOTORS[j % 2])
-        for target in drawn.target_m_s2[shown_speeds, ig]:
-            above.plot(times_ms, target / STANDARD_GRAVITY_M_S2, color=DARK, linewidth=0.8, linestyle="--")
+        for shade, target in zip(shades, drawn.target_m_s2[shown_speeds, ig], strict=True):
+            dark = tuple(DARKER * each for each in to_rgb(shade))  # the colour says whose reference it is
+            above.plot(times_ms, target / STANDARD_GRAVITY_M_S2, color=dark, linewidth=0.8, linestyle="--")
         for sign in (1, -1):
             below.axhline(sign * limit, color=DARK, linewidth=1.0, linestyle=":")
         if not named and at == 0:
@@ -340,7 +345,7 @@ def transients_figure(drawn: Transients) -> Figure:
         *panels[1, 0, 0].get_legend_handles_labels()[0],
         Line2D([], [], color=DARK, linewidth=0.8, linestyle="--", label="reference"),
         Line2D([], [], color=DARK, linewidth=1.0, linestyle=":", label=f"limit {limit:g} {drawn.driven_by.unit}"),
-        *([Patch(color=BINDING, label="limit binds")] if binds else []),
+        *([Patch(color=BINDING, label=f"{drawn.driven_by.name} limit binds (strips below)")] if binds else []),
         *([Line2D([], [], label="waveform ends", **END)] if grid.after_stages else []),
     ]
     above_in = legend_above(figure, handles, entry_in=1.15) + (

@@ -21,6 +21,7 @@ from transopt.scene.plausible import check_plausible
 from transopt.scene.scene import Scene
 
 # Keys of older scene files -> what to write instead.
+# Keys of older files, and keys that are looked for under another name.
 REPLACED = {
     "recordings.highpass_Hz": (
         "the recorded tap is tracked without a high-pass: delete the line; [hand] states how the stylus moves "
@@ -30,6 +31,8 @@ REPLACED = {
         'the error has a plain and a rapid term: write weights.rapid = "pacinian" or "highpass" with '
         "weights.rapid_from_Hz, and weights.plain for the unfiltered error"
     ),
+    "wall": "a virtual wall is the table [feedback], with stiffness_N_m and damping_N_s_m",
+    "limits.winding_limit_C": "the winding's highest temperature is motor.winding_max_C",
     "weights.tracking": "write weights.plain, the weight of the unfiltered error over hand.intention_s",
 }
 _MODEL_LINE = re.compile(r"^\s*model\s*=", re.MULTILINE)

@@ -58,7 +58,10 @@ def test_where_a_device_file_is_found(tmp_path: Path) -> None:
     [
         ("[encoder]\ncount_um = 10", "encoder.count_um: unknown key.*did you mean count_m"),
         ("[encodr]\ncount_m = 1e-5", "encodr: unknown key.*did you mean encoder"),
-        ("[encoder]\ncount_m = 10.0", r"encoder.count_m = 10.0: must be less than or equal to 0.0001"),
+        (
+            "[encoder]\ncount_m = 10.0",
+            r"10.0: must be less than or equal to 0.0001 m [(]did you mean 10 um",
+        ),
         ("[encoder]\ndirection = 2", "encoder.direction = 2: must be -1 or 1"),
         ("[amplifier]\nscale = 0.01", "amplifier.scale = 0.01: its size must be 0.2 or more"),
         ("[amplifier]\nscale = nan", "amplifier.scale = nan"),
