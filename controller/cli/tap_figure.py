@@ -49,13 +49,13 @@ def tap_figure(tap: PlayedTap, title: str, *, walled: bool) -> Figure:
     pushes = (
         "its wall pushes back by feedback" if walled else "no wall in this library, only the transient pushes back"
     )
-    _axis(position, "position mm")
+    _axis(position, "position [mm]")
     if visible_mm.size:
         margin = 0.08 * float(np.ptp(visible_mm)) + 0.05
         lowest = float(visible_mm.min()) - margin
         position.set_ylim(lowest, float(visible_mm.max()) + margin)
         position.axhspan(
-            min(lowest, 0.0), 0.0, color="0.94", linewidth=0, zorder=0, label=f"inside the object; {pushes}"
+            min(lowest, 0.0), 0.0, color="0.85", linewidth=0, zorder=0, label=f"inside the object; {pushes}"
         )
         position.axhline(0.0, color="0.55", linewidth=0.8, zorder=1)
 
@@ -64,21 +64,21 @@ def tap_figure(tap: PlayedTap, title: str, *, walled: bool) -> Figure:
     acceleration.plot(predicted_ms, predicted / g, color=SEED, linewidth=1.2, label="predicted")
     played = tap.acceleration_m_s2[inside] / g
     acceleration.plot(ms, played, color=OPTIMUM, linestyle="--", linewidth=1.0, label="played, as measured")
-    _axis(acceleration, "acceleration g")
+    _axis(acceleration, "acceleration [g]")
 
     command, feedback = contact.command_A[inside], contact.feedback_A[inside]
     current.step(ms, command, where="post", color=REFERENCE, linewidth=1.0, label="command")
     current.plot(ms, contact.current_A[inside], color=OPTIMUM, linewidth=1.2, label="current, as measured")
     if np.any(feedback):
         current.step(ms, feedback, where="post", color=DARK, linestyle=":", linewidth=1.2, label="feedback")
-    _axis(current, "current A")
+    _axis(current, "current [A]")
 
     # Rises of a few hundredths of a kelvin: the start is taken off, or the axis would show nothing.
     winding_C = contact.winding_C[inside]
     if winding_C.size and np.all(np.isfinite(winding_C)):
         rise_mK = (winding_C - winding_C[0]) * 1e3
         temperature.plot(ms, rise_mK, color=OPTIMUM, linewidth=1.2, label="winding, estimated")
-        _axis(temperature, f"rise above\n{winding_C[0]:.1f} °C, mK")
+        _axis(temperature, f"rise above\n{winding_C[0]:.1f} °C [mK]")
     else:
         temperature.text(0.5, 0.5, "no motor data", transform=temperature.transAxes, ha="center", fontsize=SMALL_PT)
         _axis(temperature, "temperature")
@@ -88,7 +88,7 @@ def tap_figure(tap: PlayedTap, title: str, *, walled: bool) -> Figure:
     for panel, place in places.items():
         if panel.get_legend_handles_labels()[0]:
             panel.legend(fontsize=SMALL_PT, frameon=False, loc=place)
-    temperature.set_xlabel("time from contact ms", fontsize=LABEL_PT)
+    temperature.set_xlabel("time from contact [ms]", fontsize=LABEL_PT)
     temperature.set_xlim(*shown)
     if not tap.why:
         found = tap.compared

@@ -55,7 +55,7 @@ def _errors(axes: Axes, refined: Refined) -> None:
     ticks = [value for value in (0.5, 1, 2, 5, 10, 20, 50, 100) if axes.get_ylim()[0] <= value <= axes.get_ylim()[1]]
     axes.set_yticks(ticks, [f"{value:g}" for value in ticks])
     axes.minorticks_off()
-    _axes(axes, "round", "playback error %")
+    _axes(axes, "round", "playback error [%], log scale")
     axes.legend(fontsize=SMALL_PT, framealpha=0.9)
 
 
@@ -70,14 +70,22 @@ def _ratios(axes: Axes, refined: Refined) -> None:
     cutoffs = [n.condition.cutoff_Hz for r in refined.history.rounds for n in r.values() if n.condition is not None]
     if cutoffs:
         axes.axvspan(min(cutoffs), CUTOFF_HZ, color="0.93", zorder=0)
-        axes.text(0.98 * CUTOFF_HZ, 0.97, "Q ends", fontsize=SMALL_PT, color="0.4", va="top", ha="right")
+        axes.text(
+            0.98 * CUTOFF_HZ,
+            0.97,
+            "no correction: low-pass Q ends",
+            fontsize=SMALL_PT,
+            color="0.4",
+            va="top",
+            ha="right",
+        )
     axes.axhline(1.0, color=DARK, linewidth=0.8, linestyle=":")
     axes.set_xscale("log")
     axes.set_xlim(float(next(iter(refined.ratios.values())).frequencies_Hz[0]), CUTOFF_HZ)
     axes.set_xticks([20, 50, 100, 200, 500, 1000], ["20", "50", "100", "200", "500", "1000"])
     axes.set_ylim(0, 1.1)
     axes.minorticks_off()
-    _axes(axes, "frequency Hz", "|1 - T|, below 1 the rounds converge")
+    _axes(axes, "frequency [Hz]", "device off the model, |1 - T|; below 1: converges")
     axes.legend(fontsize=SMALL_PT, framealpha=0.9, loc="upper left")
 
 
@@ -102,5 +110,5 @@ def _tap(axes: Axes, refined: Refined) -> None:
         label = f"{name}, {100 * one.playback_error:.1f} %"
         axes.plot(ms, measured[shown] / g, color=colour, linestyle=dash, linewidth=1.2, label=label)
     axes.set_title(place(before, node), fontsize=LABEL_PT)
-    _axes(axes, "time from contact ms", "acceleration g")
+    _axes(axes, "time from contact [ms]", "acceleration [g]")
     axes.legend(fontsize=SMALL_PT, framealpha=0.9)

@@ -16,8 +16,8 @@ LEGEND = (
     "Playback error: the mean tap beside the designed one, by the device's own sensors, low-passed at 1 kHz, until "
     "the hand can react at 30 ms, less what the taps' scatter adds.\n"
     "Before: the library as it was. Confirmed: what was kept, by new taps that nothing was chosen from.\n"
-    "L gain, Q its low-pass; factor: what a round leaves of the error at most, in brackets with two standard "
-    "deviations of T; below 1 it converges.\n"
+    "L gain, Q its low-pass; T: device over model, as a response over frequency; factor: what a round leaves of the "
+    "error at most, in brackets with T off by two standard deviations; below 1 it converges.\n"
     "! limits bind there: it gets no better than the optimum under them."
 )
 LEFT = "nothing significant is left to be learnt"

@@ -136,11 +136,15 @@ class Entry(Answered):
         """Tap error of the optimum without limits."""
         if self.uncorrected is self.problem.target:
             return self.designed.floor
-        free = self.designed.unlimited_command
+        free = self.problem.stage.rollout(self.unlimited_command)[0]
+        return self.problem.yardstick.tap_error(self.uncorrected, free)
+
+    @cached_property
+    def unlimited_command(self) -> FloatArray:
+        """(N,) the optimum of J without limits, that of the waveform alone."""
         if self.problem.intensity > 0:
-            # The floor is defined by the waveform alone; a price on intensity would shift the unlimited optimum.
-            free = unlimited.solve([self.problem.without_intensity()])[0].command
-        return self.problem.yardstick.tap_error(self.uncorrected, self.problem.stage.rollout(free)[0])
+            return unlimited.solve([self.problem.without_intensity()])[0].command
+        return self.designed.unlimited_command
 
     @property
     def free_peak(self) -> float:
@@ -350,13 +354,9 @@ class Entry(Answered):
 
     @cached_property
     def held(self) -> list[str]:
-        """The limits that hold the entry back (`transopt.problem.answer.held_back`).
-
-        On a nonlinear plant the optimum without limits is not used: it is that of the plant linearised at rest.
-        """
-        designed = self.designed
-        floor, unlimited = (self.floor, designed.unlimited_objective) if designed.nonlinear is None else (NAN, NAN)
-        return held_back(self.figures.tap_error, floor, designed.certificate.objective, unlimited, self.binding)
+        """The limits that hold the entry back (`held_back`); the floor of a plant linearised at rest is not used."""
+        floor, free_J = (self.floor, self.unlimited_objective) if self.designed.nonlinear is None else (NAN, NAN)
+        return held_back(self.figures.tap_error, floor, self.certificate.objective, free_J, self.binding)
 
     @property
     def verdict(self) -> str:

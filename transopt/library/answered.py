@@ -118,6 +118,17 @@ class Answered:
         return self.problem.tracking.energy_dB(self.problem.accelerations(self.solution.command))
 
     @property
+    def unlimited_command(self) -> FloatArray:
+        """(N,) the optimum of J without limits."""
+        return self.designed.unlimited_command
+
+    @cached_property
+    def unlimited_objective(self) -> float:
+        """J of that optimum; NaN where it was not found."""
+        command = self.unlimited_command
+        return self.problem.objective(command, self.problem.accelerations(command))
+
+    @property
     def linear_command(self) -> FloatArray | None:
         """(N,) command designed for the plant at rest, kept beside the command for a nonlinear plant; else None."""
         linear = self.designed.linear

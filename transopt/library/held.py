@@ -93,7 +93,7 @@ class Held:
         needs="several directions")
     floor: FloatArray = kept("vg", "",
         "tap error of the optimum without limits; NaN where that was not found", "floor", may_be_nan=True)
-    unlimited_objective: FloatArray = kept("vg", "", "J of that optimum", "designed.unlimited_objective",
+    unlimited_objective: FloatArray = kept("vg", "", "J of that optimum", "unlimited_objective",
         may_be_nan=True)
     linear_command: FloatArray = kept("vgN", INPUT, "command designed for the plant linearised at rest",
         lambda entry: np.zeros(entry.problem.grid.stages) if entry.linear_command is None else entry.linear_command,

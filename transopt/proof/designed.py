@@ -1,7 +1,6 @@
 """An answer with its certificate, before the replay."""
 
 from dataclasses import dataclass
-from functools import cached_property
 
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
@@ -109,12 +108,6 @@ class Designed:
     linear: "Designed | None" = None
 
     __repr__ = brief
-
-    @cached_property
-    def unlimited_objective(self) -> float:
-        """J of the optimum without limits; NaN where that was not found."""
-        problem, command = self.problem, self.unlimited_command
-        return problem.objective(command, problem.accelerations(command))
 
     @property
     def is_proven(self) -> bool:

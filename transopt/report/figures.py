@@ -89,13 +89,14 @@ def _methods(build: "Build") -> list[_Method]:
         face, size = (colour, 5.0) if filled else ("none", 7.5)
         return {"marker": shape, "markersize": size, "color": colour, "markerfacecolor": face}
 
+    inversion = "frequency-domain inversion" if build.scene.targets else "seed inversion"
     # The nearest waveform with the energy of the tap may have a larger error than a weaker one.
     optimum = "intensity" if build.scene.weights.objective == "intensity" else "optimum"
-    return [
+    found = [
         _Method(f"{optimum}, {high}", lambda e: e.figures.tap_error, 0.0, dot("o", OPTIMUM, True)),
         _Method("floor (no limits)", lambda e: e.floor, 0.0, {"marker": "_", "markersize": 13, "color": "black"}),
-        _Method(f"seed inversion, {high}", lambda e: e.baselines.seed.tap_error, -0.26, dot("s", SEED, True)),
-        _Method(f"seed inversion, {low}", lambda e: e.baselines.seed_steady.tap_error, -0.26, dot("s", SEED, False)),
+        _Method(f"{inversion}, {high}", lambda e: e.baselines.seed.tap_error, -0.26, dot("s", SEED, True)),
+        _Method(f"{inversion}, {low}", lambda e: e.baselines.seed_steady.tap_error, -0.26, dot("s", SEED, False)),
         _Method(
             f"clipped optimum, {high}{only}", lambda e: e.baselines.clipped.tap_error, 0.26, dot("^", CLIPPED, True)
         ),
@@ -106,6 +107,13 @@ def _methods(build: "Build") -> list[_Method]:
             dot("^", CLIPPED, False),
         ),
     ]
+    # Where the steady limit is the transient one, the baselines at it are the same ones again.
+    return [each for each in found if high != low or each.marker.get("markerfacecolor") != "none"]
+
+
+def _error_of(build: "Build") -> str:
+    """Name of the error that is drawn: a named target is no tap."""
+    return "error" if build.scene.targets else "tap error"
 
 
 def _refused(entry: "Entry") -> list[str]:
@@ -136,7 +144,7 @@ def _label_entries(axes: Axes, build: "Build", optimum_percent: FloatArray) -> N
     numbers = [f"{value:#.3g}".rstrip(".") for value in optimum_percent]
     above.set_xticks(positions, numbers, rotation=rotation, fontsize=SMALL_PT)
     above.tick_params(length=0)
-    above.set_xlabel("tap error of the optimum [%]", fontsize=LABEL_PT)
+    above.set_xlabel(f"{_error_of(build)} of the optimum [%]", fontsize=LABEL_PT)
 
 
 def _middles(build: "Build") -> FloatArray:
@@ -180,7 +188,7 @@ def method_figure(build: "Build") -> Figure:
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 3.0) if top < 1e4 * bottom else (1.0,)))
     axes.yaxis.set_major_formatter(FuncFormatter(plain))
     axes.yaxis.set_minor_locator(NullLocator())
-    axes.set_ylabel("tap error after replay [%]", fontsize=LABEL_PT)
+    axes.set_ylabel(f"{_error_of(build)} after replay [%], log scale", fontsize=LABEL_PT)
     axes.set_xlim(-0.5, len(entries) - 0.5)
     if len(entries) > MOST_LABELLED:
         # One label for each speed.

@@ -338,14 +338,15 @@ def transients_figure(drawn: Transients) -> Figure:
     )
     some += "\nthin: across the normal; second and third motor dashed and dotted" if drawn.has_several else ""
     some += "\nnonlinear plant: certified stationary points" if drawn.nonlinear else ""
-    label = f"time {'' if named else 'after contact '}[ms]\n{parted}hand-over from {hand_over_ms:.1f} ms{some}"
+    time, end = ("time", "command 0") if named else ("time after contact", "hand-over")
+    label = f"{time} [ms]\n{parted}{end} from {hand_over_ms:.1f} ms{some}"
     figure.supxlabel(label, fontsize=LABEL_PT)
 
     handles = [
         *panels[1, 0, 0].get_legend_handles_labels()[0],
         Line2D([], [], color=DARK, linewidth=0.8, linestyle="--", label="reference"),
         Line2D([], [], color=DARK, linewidth=1.0, linestyle=":", label=f"limit {limit:g} {drawn.driven_by.unit}"),
-        *([Patch(color=BINDING, label=f"{drawn.driven_by.name} limit binds (strips below)")] if binds else []),
+        *([Patch(color=BINDING, label="limit binds")] if binds else []),
         *([Line2D([], [], label="waveform ends", **END)] if grid.after_stages else []),
     ]
     above_in = legend_above(figure, handles, entry_in=1.15) + (

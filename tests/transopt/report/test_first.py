@@ -147,7 +147,7 @@ def test_a_short_stroke_holds_back_a_tap_with_less_error_than_its_floor() -> Non
     build = to.build(with_values(to.load_scene("single_grip"), changes))
     ((entry,),) = build.entries
     assert entry.figures.tap_error < entry.floor
-    assert entry.designed.unlimited_objective < 0.1 * entry.certificate.objective
+    assert entry.unlimited_objective < 0.1 * entry.certificate.objective
     assert entry.verdict.endswith("held back by stroke and command")
     assert build.library is not None
     look = Look.of_library(build.library, proven=False)
