@@ -224,7 +224,7 @@ CLAIMS = (
     ),
     Claim(
         "docs/start/first_library.md",
-        "The optimum under it has a tap error of {:.0f} to {:.0f} % and a felt error of {:.1f} to {:.1f} %.",
+        "the optimum under 4 A has a tap error of {:.0f} to {:.0f} % and a felt error of {:.1f} to {:.1f} %;",
         lambda: (*ends(solved().tap_error[3]), *ends(solved().felt_error[3])),
     ),
 )

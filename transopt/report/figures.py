@@ -107,7 +107,7 @@ def _methods(build: "Build") -> list[_Method]:
             dot("^", CLIPPED, False),
         ),
     ]
-    # Where the steady limit is the transient one, the baselines at it are the same ones again.
+    # If the steady limit is the transient one, the baselines at both are the same.
     return [each for each in found if high != low or each.marker.get("markerfacecolor") != "none"]
 
 
