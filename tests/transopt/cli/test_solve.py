@@ -247,7 +247,7 @@ class TestAfterTheWaveform:
             outcome = run("solve", "one.toml", "--out", "one", "--no-figures")
             (entry,) = json.loads(Path("one/report.json").read_text())["entries"]
             peaks[after_s] = (entry["after_peak_m_s2"] / 9.80665, entry["peak_after_m_s2"] / 9.80665)
-            assert ("weights.after_s = 0.03 calms it" in outcome.out) == (after_s == 0)
+            assert ("weights.after_s is 0, by default it is 0.03" in outcome.out) == (after_s == 0)
         assert peaks[0.0][0] > 1.8
         assert peaks[0.0][1] == 0
         assert 0 < peaks[0.03][1] <= 0.4
