@@ -162,7 +162,7 @@ class Stages:
     def multipliers(self, by_row: FloatArray, gradient: FloatArray) -> Multipliers:
         """Multipliers of J in SI, from the scaled ones (N + 1, rows), upper less lower, and the gradient.
 
-        Those of bounds that do not bind are what rounding leaves; they are zero here, and take no memory in a library.
+        Those of bounds that do not bind are what rounding leaves: zero here, and without memory in a library.
         """
         problem, N = self.problem, self.sizes["stages"]
         by, place = OBJECTIVE_SCALE / self.limits.unit, {kind: j for j, kind in enumerate(self.limits.kinds)}
