@@ -33,7 +33,7 @@ def taps(
     rate_Hz: RateHz = None,
     axis: Annotated[
         str,
-        typer.Option(help="How axes become one: main (the tap's direction, the default), x, y, z or dft321."),
+        typer.Option(help="How axes become one: main (the tap's direction, the default), x, y, z, dft321 or all."),
     ] = "",
     speed: Annotated[float | None, typer.Option(help="Incoming speed where the files state none, in m/s.")] = None,
     speeds: Annotated[

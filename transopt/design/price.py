@@ -83,15 +83,15 @@ class Price:
 
     @property
     def sentence(self) -> str:
-        now, free = f"{percent(self.tap_error)} %", self.free_from
-        then = f"no certified answer with {self.more} more, so no price"
-        if not np.isnan(self.then):
-            then = f"{self.more} more gives a tap error of {percent(self.then)} % in place of {now}"
+        at = _with_unit(f"{self.bound + self.step:.8g}", self.unit)
+        then = f"no certified answer at {at} and so no price" if np.isnan(self.then) else f"{percent(self.then)} % at {at}"
         if np.isfinite(self.enough):
-            free = f"would not bind from {free} on, with {percent(self.there)} %"
+            free = f"{percent(self.there)} % from {self.free_from} on, where it no longer binds"
         elif np.isnan(self.enough):
-            free = "from where on it would not bind is not certified"
-        return f"{self.stated}: {then}, {free}"
+            free = "not certified from where on it no longer binds"
+        else:
+            free = self.free_from
+        return f"{self.stated}: tap error {percent(self.tap_error)} %, {then}, {free}"
 
 
 def _with_unit(number: str, unit: str) -> str:

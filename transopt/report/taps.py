@@ -37,7 +37,7 @@ def taps_table(taps: Sequence[PreparedTap]) -> Table:
         "rate kHz",
         "onset ms",
         "offset g",
-        "polarity",
+        "sign",
         "speed m/s",
         *["speed from"] * (len(sources) > 1),
         "grip N",

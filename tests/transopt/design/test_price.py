@@ -188,7 +188,7 @@ def last_digit(rise: float) -> float:
 def test_at_what_is_enough_it_does_not_bind_and_just_below_it_does(cases: dict[str, Case], name: str) -> None:
     case = cases[name]
     _, _, (price,) = solved_at(case, case.start)
-    assert f"would not bind from {price.enough:.8g} " in price.sentence
+    assert f"% from {price.enough:.8g} " in price.sentence
     designed, error, left = solved_at(case, price.enough)
     assert left == []
     assert error == pytest.approx(designed.floor, rel=1e-6)
@@ -315,8 +315,8 @@ class TestWords:
         case = cases["current 4 A"]
         _, error, (price,) = solved_at(case, 4.0)
         assert price.sentence == (
-            f"current 4 A: 1 A more gives a tap error of {percent(price.then)} % in place of {percent(error)} %, "
-            f"would not bind from {price.enough:.8g} A on, with {percent(price.there)} %"
+            f"current 4 A: tap error {percent(error)} %, {percent(price.then)} % at 5 A, "
+            f"{percent(price.there)} % from {price.enough:.8g} A on, where it no longer binds"
         )
         rise = price.enough - price.bound
         assert rise == pytest.approx(float(f"{rise:.2g}"), rel=1e-9)  # as a person would write it
@@ -332,8 +332,8 @@ class TestWords:
             assert np.isnan(price.then)
             assert np.isnan(price.enough)
             assert price.sentence == (
-                f"{price.stated}: no certified answer with 1 A more, so no price, from where on it would not bind is "
-                "not certified"
+                f"{price.stated}: tap error {percent(price.tap_error)} %, no certified answer at "
+                f"{price.bound + 1:.8g} A and so no price, not certified from where on it no longer binds"
             )
 
     def test_what_one_linear_solve_finds_needs_no_iterations(self, cases: dict[str, Case]) -> None:
