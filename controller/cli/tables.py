@@ -30,25 +30,24 @@ def check_table(results: Sequence[Result], title: str) -> Table:
 
 
 def taps_table(taps: Sequence[PlayedTap], events: Mapping[object, int], title: str) -> Table:
-    """Every tap with its figures, then the events that are not part of every tap."""
-    numbers = ("tap", "speed m/s", "grip N", "latency µs", "tap %", "playback %", "peak g", "predicted g")
-    table = Table.of(title, (*numbers, "note"), words=("note",))
+    """Every tap with its figures, if any tap could be compared, then the events that are not part of every tap."""
+    judged = any(not tap.why for tap in taps)
+    figures = ("latency µs", "tap %", "playback %", "peak g", "predicted g") if judged else ()
+    table = Table.of(title, ("tap", "speed m/s", "grip N", *figures, "note"), words=("note",))
     for tap in taps:
         contact, found, g = tap.contact, tap.compared, STANDARD_GRAVITY_M_S2
-        table.add_row(
-            str(contact.number),
-            f"{contact.speed_m_s:.3f}",
-            f"{contact.grip_N:.2f}",
+        numbers = (
             _number(1e6 * found.latency_s, ".1f"),
             _number(100 * found.tap_error, ".1f"),
             _number(100 * found.playback_error, ".2f"),
             _number(found.peak_m_s2 / g, ".2f"),
             _number(found.predicted_peak_m_s2 / g, ".2f"),
-            tap.remark,
         )
+        place = (str(contact.number), f"{contact.speed_m_s:.3f}", f"{contact.grip_N:.2f}")
+        table.add_row(*place, *numbers[: len(figures)], tap.remark)
     for what, count in events.items():
         if what not in EVERY_TAP and isinstance(what, Notice | Fault | LinkNotice):
-            table.add_row("", "", "", "", "", "", "", "", f"{count} x {what.value}")
+            table.add_row(*[""] * (3 + len(figures)), f"{count} x {what.value}")
     return table
 
 
@@ -60,10 +59,12 @@ class Yardstick:
     ----------
     force_per_current_N_A : of the motor, at the tip.
     real_rate_hardness_N_m : of the object that the scene's recordings come from.
+    why_unknown : reason why the rate-hardness of the object is not known; empty if it is.
     """
 
     force_per_current_N_A: float
     real_rate_hardness_N_m: float
+    why_unknown: str = ""
 
 
 def figures_table(
@@ -82,7 +83,7 @@ def figures_table(
     floor = mean((tap.prediction.floor for tap in compared), 100, ".2f", "%")
     predicted, reference = (figure(f"{name}_peak_m_s2", 1 / g, ".2f", "g") for name in ("predicted", "reference"))
     hardness = (tap.rate_hardness_N_m(yardstick.force_per_current_N_A) for tap in compared)
-    real = _number(yardstick.real_rate_hardness_N_m, ".0f", "N/m")
+    real = yardstick.why_unknown or _number(yardstick.real_rate_hardness_N_m, ".0f", "N/m")
     peak_A = max((tap.peak_current_A for tap in taps), default=np.nan)
     hottest_C = max((float(tap.contact.winding_C.max(initial=-np.inf)) for tap in taps), default=np.nan)
     winding, of_winding = "-", "no motor data"
@@ -93,7 +94,7 @@ def figures_table(
     by_hand = "against the library's prediction, until the hand can react"
     played = "played" if len(taps) <= 1 else f"{len(compared)} taps"
     table = Table.of(None, ("figure", played, "compare with"), words=("figure", "compare with"))
-    for row in (
+    rows = (
         ("latency", figure("latency_s", 1e6, ".1f", "µs"), "the one shift that aligns played and predicted"),
         (
             "tap error",
@@ -112,7 +113,8 @@ def figures_table(
         ("peak current", _number(peak_A, ".3f", "A"), f"limit {limits['current_A']:g} A"),
         ("winding", winding, of_winding),
         ("clamps", clamps, "times that transient and feedback together were cut"),
-    ):
+    )
+    for row in rows if compared else rows[-3:]:  # no tap tells the others
         table.add_row(*row)
     faults = [what.value for what in events if isinstance(what, Fault)]
     words = [f"fault: {faults[0]}"] if faults else list(dict.fromkeys(tap.verdict for tap in taps))

@@ -221,13 +221,15 @@ def _yardstick(library: "Library", played: "list[PlayedTap]") -> "Yardstick":
     try:
         device = device_of(scene)
     except InputError:  # a black box
-        return Yardstick(float("nan"), float("nan"))
-    target, real = scene.recordings.simulated, float("nan")
+        return Yardstick(float("nan"), float("nan"), "unknown, the device is a black box")
+    target, real, why = scene.recordings.simulated, float("nan"), ""
+    if target is None:
+        why = "unknown, as no recorded tap tells the force"
     if target is not None and played:
         contact = played[0].contact
         grip_N = contact.grip_N if target.grip_N is None else target.grip_N
         real = strike_real(device, target, contact.speed_m_s, grip_N, 10e-3, scene.time.dt_s).rate_hardness_N_m
-    return Yardstick(device.force_per_current_N_A, real)
+    return Yardstick(device.force_per_current_N_A, real, why)
 
 
 def _draw(played: "list[PlayedTap]", title: str, out: Path, *, walled: bool) -> str:

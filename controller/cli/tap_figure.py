@@ -54,9 +54,9 @@ def tap_figure(tap: PlayedTap, title: str, *, walled: bool) -> Figure:
         margin = 0.08 * float(np.ptp(visible_mm)) + 0.05
         lowest = float(visible_mm.min()) - margin
         position.set_ylim(lowest, float(visible_mm.max()) + margin)
-        position.axhspan(
-            min(lowest, 0.0), 0.0, color="0.85", linewidth=0, zorder=0, label=f"inside the object; {pushes}"
-        )
+        inside_label = f"inside the object; {pushes}"
+        # The edge shows the legend's patch, which otherwise lies on its own colour.
+        position.axhspan(min(lowest, 0.0), 0.0, facecolor="0.85", edgecolor="0.55", zorder=0, label=inside_label)
         position.axhline(0.0, color="0.55", linewidth=0.8, zorder=1)
 
     g = STANDARD_GRAVITY_M_S2
@@ -90,11 +90,11 @@ def tap_figure(tap: PlayedTap, title: str, *, walled: bool) -> Figure:
             panel.legend(fontsize=SMALL_PT, frameon=False, loc=place)
     temperature.set_xlabel("time from contact [ms]", fontsize=LABEL_PT)
     temperature.set_xlim(*shown)
+    lines = textwrap.wrap(title, TITLE_CHARACTERS)
     if not tap.why:
         found = tap.compared
         errors = f"tap error {100 * found.tap_error:.1f} %, playback error {100 * found.playback_error:.2f} %"
-        title += f": latency {found.latency_s * 1e6:.0f} µs, {errors}"
-    lines = textwrap.wrap(title, TITLE_CHARACTERS)
+        lines.append(f"latency {found.latency_s * 1e6:.0f} µs, {errors}")
     figure.suptitle("\n".join(lines), fontsize=LABEL_PT, parse_math=False)
     leave_room(figure, left_in=0.85, right_in=0.1, below_in=0.48, above_in=0.17 + 0.18 * len(lines))
     return figure

@@ -13,6 +13,7 @@ from rich.console import Console, ConsoleOptions, RenderResult
 WORDS = 24  # least width of a cell of words, unless its text is shorter
 SHARE = 3  # a word takes at most the terminal's width over this; longer ones, such as file names, are folded
 LEAST = 0.25  # share of that width to which words are folded if there is still not enough room
+SHORTEST = 8  # characters to which a name is shortened at most: an ending as .csv, and as much before it
 BETWEEN, EDGE = 3, 1  # width of the frame of each column, and of the frame around all
 
 
@@ -25,11 +26,13 @@ class Table(table.Table):
     Parameters
     ----------
     keys : number of leading columns that identify a row; they are repeated in every block.
+    middle : heads of columns of names that are shortened in the middle if the table then fits in one block and the
+        names stay distinct.
     """
 
-    def __init__(self, *heads: Any, keys: int = 1, **how: Any) -> None:
+    def __init__(self, *heads: Any, keys: int = 1, middle: Collection[str] = (), **how: Any) -> None:
         super().__init__(*heads, **how)
-        self._keys = keys
+        self._keys, self._middle = keys, middle
 
     @classmethod
     def of(
@@ -53,13 +56,28 @@ class Table(table.Table):
         return table
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        blocks = list(self._blocks(options.max_width))
+        blocks = list(self._shortened(options.max_width)._blocks(options.max_width))
         for number, block in enumerate(blocks):
             if number > 0:
                 block.title = None
             if number < len(blocks) - 1:
                 block.caption = None
             yield from super(Table, block).__rich_console__(console, options)
+
+    def _shortened(self, width: int) -> "Table":
+        """This table, its names shortened in the middle if that alone makes it fit."""
+        excess = _framed([_widths(column, width)[0] for column in self.columns]) - width
+        for at, column in enumerate(self.columns):
+            names = [str(cell) for cell in column.cells]
+            room = _widths(column, width)[0] - excess
+            if excess <= 0 or column.header not in self._middle or room < SHORTEST:
+                continue
+            short = [_without_middle(name, room) for name in names]
+            if len(set(short)) == len(set(names)):
+                table = copy(self)
+                table.columns = [*self.columns[:at], replace(column, _cells=short), *self.columns[at + 1 :]]
+                return table
+        return self
 
     def _blocks(self, width: int) -> Iterator["Table"]:
         """This table, or the blocks into which it is split so that they fit."""
@@ -100,6 +118,12 @@ class Table(table.Table):
             for place, index in enumerate(indices)
         ]
         return part
+
+
+def _without_middle(name: str, width: int) -> str:
+    """A name of at most `width` characters, an ellipsis in place of its middle if it is longer."""
+    ending = 2 * (width - 1) // 3  # numbers that tell files apart mostly stand at the end
+    return name if len(name) <= width else f"{name[: width - 1 - ending]}…{name[len(name) - ending :]}"
 
 
 def _framed(widths: list[int]) -> int:

@@ -104,19 +104,23 @@ def scene_keys(
 
 
 def key_table(scene: "Scene", title: str) -> "Table":
-    """Every key of `transopt.scene.keys`, one a row, in the order of the tables of a scene."""
+    """The keys of `transopt.scene.keys` that apply to a scene, one a row, in the order of its tables."""
     from transopt.base.tables import Table
     from transopt.scene.keys import keys
 
-    heads = ("key", "unit", "default", "here", "allowed", "about")
+    heads = ("key", "here", "unit", "default", "allowed", "about")
+    recorded = scene.recordings.simulated is None
+    apart = ("recordings.",) if scene.targets else ("targets.", *["recordings.simulated."] * recorded)
     table = Table.of(title, heads, words=heads, whole=("key",))  # a key is copied into a file
 
     def shown(value: object) -> str:
         return "-" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
     for key in keys(scene):
+        if key.path.startswith(apart):  # what this scene is made from excludes them
+            continue
         words = ", ".join(key.choices)
         allowed = " or ".join(part for part in (key.bounds, words, "none" if key.optional else "") if part)
         default = "to be stated" if key.required else shown(key.default)
-        table.add_row(key.path, key.unit, default, shown(key.value), allowed, key.description)
+        table.add_row(key.path, shown(key.value), key.unit, default, allowed, key.description)
     return table

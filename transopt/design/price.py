@@ -84,7 +84,11 @@ class Price:
     @property
     def sentence(self) -> str:
         at = _with_unit(f"{self.bound + self.step:.8g}", self.unit)
-        then = f"no certified answer at {at} and so no price" if np.isnan(self.then) else f"{percent(self.then)} % at {at}"
+        then = (
+            f"no certified answer at {at} and so no price"
+            if np.isnan(self.then)
+            else f"{percent(self.then)} % at {at}"
+        )
         if np.isfinite(self.enough):
             free = f"{percent(self.there)} % from {self.free_from} on, where it no longer binds"
         elif np.isnan(self.enough):

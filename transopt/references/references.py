@@ -331,7 +331,7 @@ def build_references(
         for alike in grouped:
             own = [(tap, factor) for tap, factor in group if tap.recording.grip_N in alike]
             if own:
-                mean = float(f"{np.mean(alike):.6g}")
+                mean = float(f"{np.mean(alike):.3g}")  # as `transopt taps` writes it
                 of, factors = zip(*own, strict=True)
                 cells.append(build_reference(speed, mean, of, np.array(factors), axis, (mean,)))
                 if alike[-1] > alike[0]:

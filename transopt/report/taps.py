@@ -50,13 +50,13 @@ def taps_table(taps: Sequence[PreparedTap]) -> Table:
     if len(sources) == 1:
         title += f", speed source: {min(sources)}"
     title += ", no sample clipped" * (not clipped)
-    table = Table.of(title, names, words=("file", "speed from", "notes"))
+    table = Table.of(title, names, words=("file", "speed from", "notes"), middle=("file",))
     for tap in taps:
         table.add_row(
             tap.recording.name,
             f"{tap.recording.acceleration.rate_Hz / 1e3:.4g}",
-            f"{tap.onset_s * 1e3:.3f}",
-            f"{tap.offset_m_s2 / STANDARD_GRAVITY_M_S2:.3f}",
+            f"{tap.onset_s * 1e3:.2f}",
+            f"{tap.offset_m_s2 / STANDARD_GRAVITY_M_S2:z.3f}",
             "+" if tap.polarity > 0 else "-",
             _speed_cell(tap),
             *[tap.speed_source] * (len(sources) > 1),
@@ -187,7 +187,7 @@ def implausible_lines(taps: Sequence[PreparedTap]) -> list[str]:
 
 def _speed_cell(tap: PreparedTap) -> str:
     if not np.isnan(tap.speed_m_s):
-        return f"{tap.speed_m_s:.4g}"
+        return f"{round(tap.speed_m_s, 4):.4g}"
     return "?" if tap.speed_source == UNKNOWN else "any"
 
 

@@ -43,6 +43,7 @@ MOST_SPEEDS, MOST_GRIPS = 8, 6  # the number of markers; more would not be legib
 
 LEGEND_IN, LEGEND_ROW_IN = 0.1, 0.17  # height of a legend in SMALL_PT: margins, and each row
 TITLE_IN = 0.27
+NAME_IN = 0.2  # height of the line of the name that `save_figure` writes below a figure
 
 QUIET = 0.1  # of the reference's peak: the panel of what follows begins once all references stay below it
 PROMINENT = 0.7  # share of a column's width for the part before that
@@ -340,7 +341,8 @@ def transients_figure(drawn: Transients) -> Figure:
     some += "\nnonlinear plant: certified stationary points" if drawn.nonlinear else ""
     time, end = ("time", "command 0") if named else ("time after contact", "hand-over")
     label = f"{time} [ms]\n{parted}{end} from {hand_over_ms:.1f} ms{some}"
-    figure.supxlabel(label, fontsize=LABEL_PT)
+    # Above the line of the scene's name, which stands in the corner.
+    figure.supxlabel(label, fontsize=LABEL_PT, y=NAME_IN / figure.get_size_inches()[1])
 
     handles = [
         *panels[1, 0, 0].get_legend_handles_labels()[0],
@@ -356,7 +358,7 @@ def transients_figure(drawn: Transients) -> Figure:
         figure,
         left_in=0.72,
         right_in=0.08,
-        below_in=0.66 + LEGEND_ROW_IN * (drawn.nonlinear or drawn.has_several),
+        below_in=0.6 + NAME_IN + LEGEND_ROW_IN * (drawn.nonlinear or drawn.has_several),
         above_in=above_in,
     )
     return figure

@@ -1,7 +1,9 @@
 """`transopt-play tap --simulate` as a user meets it: figure and telemetry, messages, exit codes."""
 
+import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,6 +11,7 @@ import pytest
 from tests.benches.commands import Run
 from tests.benches.places import ROOT
 from transopt.library.library import Library
+from transopt.scene.recordings import Recordings
 
 
 def test_tap_with_figure_and_telemetry(play: Run) -> None:
@@ -33,6 +36,27 @@ def test_tap_with_figure_and_telemetry(play: Run) -> None:
         "events.csv",
         "tap_001.csv",
     }
+
+
+def test_a_tap_outside_the_grid_has_its_reason_and_no_empty_figures(play: Run) -> None:
+    outcome = play("tap", "library.npz", "--simulate", "--speed", 0.9)
+    assert (outcome.code, outcome.err) == (0, "")
+    assert "lies outside the library's 0.1 to 0.4 m/s" in outcome.out
+    for what in ("peak current", "winding", "verdict"):
+        assert what in outcome.out
+    for figure in ("latency", "tap error", "playback", "predicted", "rate-hardness"):
+        assert figure not in outcome.out
+    assert not re.search(r"[│ ]-  *│", outcome.out)
+
+
+def test_rate_hardness_of_recorded_taps_says_why_there_is_no_other(play: Run, library: Library) -> None:
+    scene = library.scene()
+    stated = {**scene.model_dump()["recordings"], "simulated": None, "files": ["tap.csv"]}
+    recorded = scene.model_copy(update={"recordings": Recordings(**stated)})
+    replace(library, meta={**library.meta, "scene": recorded.model_dump(mode="json")}).save(Path("recorded.npz"))
+    outcome = play("tap", "recorded.npz", "--simulate", "--speed", 0.3, "--grip", 3)
+    assert (outcome.code, outcome.err) == (0, "")
+    assert "the real object, struck: unknown, as no recorded tap tells the force" in " ".join(outcome.out.split())
 
 
 @pytest.mark.parametrize("user", ["straight", "stops"])

@@ -93,3 +93,27 @@ def test_a_word_without_room_is_folded() -> None:
     assert out.count("x") == 200
     assert "1.234" in out
     assert max(map(len, out.splitlines())) <= 60
+
+
+class TestNamesInTheMiddle:
+    NAMES = ("a_long_name_of_a_tap_1.csv", "a_long_name_of_a_tap_2.csv")
+
+    def of(self, names: tuple[str, ...], width: int) -> str:
+        table = Table.of(None, ("file", "peak g", "offset g", "speed m/s"), words=("file",), middle=("file",))
+        for name in names:
+            table.add_row(name, "12.125", "0.0013", "0.20625")
+        return printed(table, width)
+
+    def test_are_shortened_where_the_table_then_is_one(self) -> None:
+        assert self.NAMES[0] in self.of(self.NAMES, 80)
+        narrow = self.of(self.NAMES, 42)
+        assert narrow.count("12.125") == narrow.count("0.20625") == 2
+        assert narrow.count("…") == 2
+        assert "1.csv" in narrow
+        assert "2.csv" in narrow
+        assert narrow.count("┡") == 1
+
+    def test_stay_whole_where_they_would_be_alike_or_hardly_a_name(self) -> None:
+        alike = ("2026_taps_at_1_newton_of_wood.csv", "2026_taps_at_3_newton_of_wood.csv")
+        assert "…" not in self.of(alike, 42)
+        assert "…" not in self.of(self.NAMES, 34)

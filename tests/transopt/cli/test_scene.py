@@ -51,12 +51,26 @@ class TestScene:
         outcome = run("scene", "keys")
         assert outcome.code == 0
         rows = rows_of(outcome.out)
-        assert rows["limits.slew_A_per_s"][1] == "A/s"
-        assert rows["time.stages"][2:5] == ["-", "800", ">= 2, <= 20000 or none"]
-        assert rows["model.stylus_mass_kg"][2] == "to be stated"
+        assert rows["limits.slew_A_per_s"][2] == "A/s"
+        assert rows["time.stages"][1:5] == ["800", "", "-", ">= 2, <= 20000 or none"]
+        assert rows["model.stylus_mass_kg"][3] == "to be stated"
         Path("mine.toml").write_text(WOOD.replace("beta = 3.2", "beta = 2.5"))
-        assert rows_of(run("scene", "keys", "mine.toml").out)["limits.beta"][3] == "2.5"
+        assert rows_of(run("scene", "keys", "mine.toml").out)["limits.beta"][1] == "2.5"
         assert_refused(run("scene", "keys", "absent"), "absent", "no built-in scene")
+
+    def test_keys_of_taps_and_of_targets_are_those_that_apply(self, run: Run) -> None:
+        """At 80 columns the value of a key stands beside it, in the first block."""
+        struck, recorded, clicks = (
+            rows_of(run("scene", "keys", each).out) for each in ("wood_on_foam", "own_taps", "lra_click")
+        )
+        own = "recordings.simulated.repeats"
+        assert own in struck
+        assert own not in recorded
+        assert "recordings.lowpass_Hz" in recorded
+        assert not any(key.startswith("recordings.") for key in clicks)
+        for taps in (struck, recorded):
+            assert not any(key.startswith("targets.") for key in taps)
+        assert any(key.startswith("targets.") for key in clicks)
 
 
 def rows_of(printed: str) -> dict[str, list[str]]:

@@ -96,7 +96,7 @@ class TestCells:
         found = references_of(scene, held)
         assert len(found) == 4
         assert found.grips_N == pytest.approx((3.0,))
-        assert "taps of 2.95 to 3.05 N are taken as of one grip" in found.remarks([3.0])[0]
+        assert "taps of 2.95 to 3.05 N are taken as of one grip, 3 N" in found.remarks([3.0])[0]
         assert grip_groups([1.0, 1.04, 1.06, 3.0]) == [[1.0, 1.04], [1.06], [3.0]]
 
 

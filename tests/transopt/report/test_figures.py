@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from matplotlib.text import Text
 
 from tests.benches.libraries import resized
 from transopt.base import axes as entries
+from transopt.base.plotting import save_figure
 from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
 from transopt.design.batch import Baselines
 from transopt.design.build import Build
@@ -70,6 +72,16 @@ def assert_nothing_clipped(figure: Figure) -> None:
 
 
 class TestLibrary:
+    def test_the_name_in_the_corner_stands_below_the_label_of_a_narrow_figure(
+        self, library: Library, tmp_path: Path
+    ) -> None:
+        figure = library_figure(resized(library, 2, 1))
+        save_figure(figure, tmp_path / "transients.png", "wood_on_foam")
+        (name,) = (text for text in figure.texts if text.get_text() == "wood_on_foam")
+        (label,) = (text for text in figure.texts if text.get_text() == figure.get_supxlabel())
+        assert name.get_window_extent().y1 < label.get_window_extent().y0
+        assert_nothing_clipped(figure)
+
     def test_draws_the_arrays_in_g_ampere_and_ms(self, library: Library) -> None:
         figure = library_figure(library)
         grid = library.time_grid()
