@@ -167,11 +167,6 @@ CLAIMS = (
         ),
     ),
     Claim(
-        "docs/howto/record_taps.md",
-        "With the 3 N tap as the target for all, the felt error at 0.2 m/s rises from {:.1f} to {:.1f} % at 1 N.",
-        lambda: at_one_grip_for_all(0.2, 1.0),
-    ),
-    Claim(
         "docs/howto/recordings.md",
         "the felt error at 0.2 m/s rises from {:.1f} to {:.1f} % at 1 N and from {:.1f} to {:.1f} % at 5 N",
         lambda: (*at_one_grip_for_all(0.2, 1.0), *at_one_grip_for_all(0.2, 5.0)),

@@ -1,6 +1,7 @@
 """`transopt plant new`: a commented scene from the values of a datasheet."""
 
 import shlex
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -137,7 +138,7 @@ def plant_new(
 def _completed(stated: dict[str, Any], further: dict[str, float]) -> dict[str, Any]:
     """What is stated with what follows from the further numbers of a sheet, which is printed with how sure it is."""
     from transopt.base.units import unit_of
-    from transopt.scene.rated import UNKNOWN, UNSURE, WORDS, Rating, completed
+    from transopt.scene.rated import UNKNOWN, UNSURE, WORDS, Rating, completed, rated_swing_m
 
     if stated["kind"] == "inertial" and "case_mass_kg" not in stated:
         raise InputError(
@@ -152,8 +153,14 @@ def _completed(stated: dict[str, Any], further: dict[str, float]) -> dict[str, A
     if found.note:
         console.print(f"note: {found.note}")
     for key in (key for key in UNKNOWN if key not in stated):
-        sure = found.deviations[key]
-        about = f"+-{100 * sure:.0f} %" if sure < UNSURE else f"a guess: measure it, and state {option_of(key)}"
+        sure, swing = found.deviations[key], ""
+        if key == "moving_mass_kg" and rating.jig_kg is not None and "rms_g" in further:
+            by_mass = partial(rated_swing_m, rating.jig_kg, found.values["resonance_Hz"], further["rms_g"])
+            own, light = (1e3 * by_mass(share * found.values[key]) for share in (1.0, 0.1))
+            swing = f"it would swing {own:.2g} mm at the rating, a tenth of it {light:.2g} mm; "
+        about = (
+            f"+-{100 * sure:.0f} %" if sure < UNSURE else f"a guess: {swing}measure it, and state {option_of(key)}"
+        )
         console.print(f"{WORDS[key]} {found.values[key]:.3g} {unit_of(key)}".rstrip() + f": {about}")
     volts = "rms_V" in further and stated["input"] == "voltage"
     peak = {"rated": 2**0.5 * further["rms_V"]} if volts else {}

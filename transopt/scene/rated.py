@@ -115,6 +115,16 @@ def predicted(unknown: FloatArray, test: Rating) -> dict[str, float]:
     return found
 
 
+def rated_swing_m(jig_kg: float, resonance_Hz: float, rms_g: float, moving_mass_kg: float) -> float:
+    """Amplitude of a moving mass against its jig at the rated acceleration of the jig.
+
+    The momenta of the two cancel, m x = M X with X = sqrt(2) a / w0^2, so the rating determines the product of mass
+    and swing but neither of them; the motion against the jig is x + X.
+    """
+    jig_swing_m = math.sqrt(2) * rms_g * STANDARD_GRAVITY_M_S2 / (2 * math.pi * resonance_Hz) ** 2
+    return jig_swing_m * (1 + jig_kg / moving_mass_kg)
+
+
 def completed(stated: Mapping[str, float], test: Rating) -> Completed:
     """Fit the numbers of an actuator to those that its datasheet states.
 

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from transopt.base.errors import InputError
 from transopt.cli.main import app
 from transopt.scene.builtin import load_scene
-from transopt.scene.rated import TOLERANCE, UNKNOWN, Completed, Rating, completed
+from transopt.scene.rated import TOLERANCE, UNKNOWN, Completed, Rating, completed, rated_swing_m
 
 G = 9.80665
 Actuator = Mapping[str, float]
@@ -136,12 +136,27 @@ def test_the_scene_of_a_sheet_makes_the_rated_acceleration(tmp_path: Path) -> No
     sheet = f"--resonance-Hz 235 --case-mass-kg 0.1 --R-ohm 25 --peak 3 {sine}"
     ended = CliRunner().invoke(app, ["plant", "new", str(file), *sheet.split()])
     assert ended.exit_code == 0, ended.output
-    assert "moving mass 0.0155 kg: a guess: measure it, and state --moving-mass-kg" in ended.output
+    assert (
+        "moving mass 0.0155 kg: a guess: it would swing 0.057 mm at the rating, a tenth of it 0.5 mm; measure it, and state --moving-mass-kg"
+        in ended.output
+    )
     plant = load_scene(str(file)).plant(0.0)
     made = 1.8 * abs(plant.response(np.array([235.0]))[0]) / G
     assert made == pytest.approx(1.2, rel=0.01)
     again = CliRunner().invoke(app, ["plant", "new", str(file), "--kind", "voice_coil", "--rms-V", "1", "--force"])
     assert again.exit_code != 0
+
+
+def test_mass_times_swing_follows_from_the_rated_acceleration() -> None:
+    """The swing of a simulated mass in a case at resonance, by the motion of its two masses in steady state."""
+    m, M, f, c, force = 2e-3, 0.1, 200.0, 0.3, 0.5
+    w = 2 * math.pi * f
+    mu = m * M / (m + M)
+    k = mu * w**2
+    dynamic = np.array([[k - m * w**2 + 1j * w * c, -k - 1j * w * c], [-k - 1j * w * c, k - M * w**2 + 1j * w * c]])
+    mass, case = np.linalg.solve(dynamic, [force, -force])
+    rms_g = w**2 * abs(case) / math.sqrt(2) / G
+    assert rated_swing_m(M, f, rms_g, m) == pytest.approx(abs(mass - case), rel=1e-9)
 
 
 def test_a_swelling_sine_rises_as_its_slowest_motion_does() -> None:
