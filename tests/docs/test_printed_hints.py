@@ -111,7 +111,8 @@ DATASHEET, SHEETS = "docs/plants/datasheet.md", "docs/plants/sheets.md"
 CARRIED_OUT = {
     (
         DATASHEET,
-        "moving mass 0.0155 kg: a guess: it would swing 0.057 mm at the rating, a tenth of it 0.5 mm; measure it, and state --moving-mass-kg",
+        "moving mass 0.0155 kg: a guess: it would swing 0.057 mm at the rating, a tenth of it 0.5 mm; "
+        "measure it, and state --moving-mass-kg",
     ): plant_of_a_sheet(DATASHEET, "coin"),
     (DATASHEET, "coin.toml written; edit its targets, then: transopt solve coin.toml"): plant_of_a_sheet(
         DATASHEET, "coin"

@@ -8,7 +8,7 @@ from typing import Any
 
 from rich import table
 from rich.cells import cell_len
-from rich.console import Console, ConsoleOptions, RenderResult
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 
 WORDS = 24  # least width of a cell of words, unless its text is shorter
 SHARE = 3  # a word takes at most the terminal's width over this; longer ones, such as file names, are folded
@@ -72,8 +72,8 @@ class Table(table.Table):
             room = _widths(column, width)[0] - excess
             if excess <= 0 or column.header not in self._middle or room < SHORTEST:
                 continue
-            short = [_without_middle(name, room) for name in names]
-            if len(set(short)) == len(set(names)):
+            short: list[RenderableType] = [_without_middle(name, room) for name in names]
+            if len(set(map(str, short))) == len(set(names)):
                 table = copy(self)
                 table.columns = [*self.columns[:at], replace(column, _cells=short), *self.columns[at + 1 :]]
                 return table

@@ -92,11 +92,11 @@ class TestCells:
         assert nrmse(other.recorded_m_s2, own.recorded_m_s2) > 10 * own.repeatability
 
     def test_grips_that_a_sensor_cannot_tell_apart_are_one(self, scene: Scene, taps: list[Recording]) -> None:
-        held = [replace(tap, grip_N=2.95 + 0.1 * (k % 2)) for k, tap in enumerate(taps)]
+        held = [replace(tap, grip_N=2.951 + 0.1 * (k % 2)) for k, tap in enumerate(taps)]
         found = references_of(scene, held)
         assert len(found) == 4
         assert found.grips_N == pytest.approx((3.0,))
-        assert "taps of 2.95 to 3.05 N are taken as of one grip, 3 N" in found.remarks([3.0])[0]
+        assert "taps of 2.951 to 3.051 N are taken as of one grip, 3 N" in found.remarks([3.0])[0]
         assert grip_groups([1.0, 1.04, 1.06, 3.0]) == [[1.0, 1.04], [1.06], [3.0]]
 
 

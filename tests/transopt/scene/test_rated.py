@@ -137,8 +137,8 @@ def test_the_scene_of_a_sheet_makes_the_rated_acceleration(tmp_path: Path) -> No
     ended = CliRunner().invoke(app, ["plant", "new", str(file), *sheet.split()])
     assert ended.exit_code == 0, ended.output
     assert (
-        "moving mass 0.0155 kg: a guess: it would swing 0.057 mm at the rating, a tenth of it 0.5 mm; measure it, and state --moving-mass-kg"
-        in ended.output
+        "moving mass 0.0155 kg: a guess: it would swing 0.057 mm at the rating, a tenth of it 0.5 mm; "
+        "measure it, and state --moving-mass-kg" in ended.output
     )
     plant = load_scene(str(file)).plant(0.0)
     made = 1.8 * abs(plant.response(np.array([235.0]))[0]) / G
