@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -117,6 +118,24 @@ class TestTaps:
         assert run("taps", "a [1]/tap[1].csv").code == 0
         assert "3 recordings, speed source: stated" in run("taps", EXAMPLES / "tap_*.csv").out
         assert_refused(run("taps", "a [1]/none*.csv"), "none*.csv", "matches no file")
+
+    def test_one_table_holds_all_figures_at_80_columns(self, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+        for number in (1, 2):
+            Path(f"tap_of_spruce_{number}.csv").write_text((EXAMPLES / "tap_0.3_m_s.csv").read_text())
+        monkeypatch.setenv("COLUMNS", "80")
+        outcome = run("taps", "tap_of_spruce_1.csv", "tap_of_spruce_2.csv")
+        first, *_ = outcome.out.split("└")
+        assert first.count("┡") == 1
+        assert "peak" in first
+        for number in (1, 2):
+            assert f"{number}.csv" in first
+        assert max(map(len, first.splitlines())) <= 80
+
+    def test_help_names_every_way_to_make_one_of_three_axes(self, run: Run) -> None:
+        (ways, _) = get_args(Recordings.model_fields["axis"].annotation)
+        said = re.sub(r"[│\s]+", " ", run("taps", "--help").out)
+        stated = said[said.index("How axes become one") :].partition(". ")[0]
+        assert all(re.search(rf"\b{way}\b", stated) for way in get_args(ways))
 
     def test_speed_is_for_files_that_state_none(self, run: Run) -> None:
         outcome = run("taps", EXAMPLES / "tap_0.3_m_s.csv", "--speed", 0.2)
