@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize
+from scipy import fft, optimize
 
 from transopt.base.errors import InputError
 from transopt.base.signals import ComplexArray, FloatArray
@@ -319,7 +319,8 @@ def estimate_crossover(trials: Sequence[Trial], pole_Hz: float, delay_s: float) 
 
     current = gain LTI{c - min(max(c, -h), h)} + offset of the trial's monitor + noise. For a given h this is linear
     in gain and offsets; h is found by a one-dimensional search. Two things tell h from the gain: a dead band gives a
-    sine through zero other harmonics, and sweeps with an offset never enter the dead band.
+    sine through zero other harmonics, and sweeps with an offset never enter the dead band. The deviation of h takes
+    the spectrum of the residual for that of the noise, which need not be white.
     """
     peak = max(float(np.abs(trial.input.values).max()) for trial in trials)
     measured = np.concatenate([trial.output.values - trial.output.values.mean() for trial in trials])
@@ -343,10 +344,21 @@ def estimate_crossover(trials: Sequence[Trial], pole_Hz: float, delay_s: float) 
     x = followed(lambda c: less_dead_band(c, h))
     gain = float(x @ measured / (x @ x))
     slope = -gain * followed(lambda c: np.where(np.abs(c) > h, np.sign(c), 0.0))
-    variance = float(best.fun) / max(measured.size - 2 - len(trials), 1)
-    information = np.array([[x @ x, x @ slope], [x @ slope, slope @ slope]])
-    deviation = float(np.sqrt(variance * np.linalg.pinv(information)[1, 1]))
+    along, residual = slope - x * float(x @ slope) / float(x @ x), measured - gain * x
+    lengths = [trial.input.values.size for trial in trials]
+    deviation = _deviation_of_sum(along, residual, lengths) / float(along @ along)
     return Crossover(h, deviation, h > max(CROSSOVER_SIGMAS * deviation, CROSSOVER_LEAST * peak))
+
+
+def _deviation_of_sum(weights: FloatArray, noise: FloatArray, lengths: Sequence[int]) -> float:
+    """Standard deviation of the sum of weights times noise (n,), stationary within each trial of these lengths.
+
+    Lines of different frequencies are independent, so by Parseval's theorem each adds |W|^2 |E|^2 / length^2.
+    """
+    variance, ends = 0.0, np.cumsum(lengths)[:-1]
+    for each, e in zip(np.split(weights, ends), np.split(noise, ends), strict=True):
+        variance += float(np.sum(np.abs(fft.fft(each) * fft.fft(e)) ** 2)) / each.size**2
+    return float(np.sqrt(variance))
 
 
 def _at_rest(trial: Trial, half_width_A: float, pole_Hz: float, delay_s: float) -> Trial:

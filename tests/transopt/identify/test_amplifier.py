@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import signal
 from scipy.stats import binom
 from typer.testing import CliRunner
 
@@ -173,6 +174,18 @@ def test_a_crossover_is_neither_invented_nor_missed(crossover_A: float) -> None:
     found = estimate_crossover(trials, POLE_HZ, DELAY_S)
     assert found.shows == (crossover_A > 0)
     assert abs(found.half_width_A - crossover_A) < 4 * found.deviation_A
+
+
+def test_the_crossover_is_as_far_off_in_red_noise_as_its_deviation_says() -> None:
+    """Noise of the current monitor below 50 Hz, as a supply makes it, is not white."""
+    share, found = np.exp(-2 * np.pi * 50 * DT_S), []
+    for seed in range(16):
+        trial, random = amplifier_trial(seed, crossover_A=0.05, seconds=0.5), np.random.default_rng([seed, 1])
+        white = random.standard_normal(trial.output.values.size) * np.sqrt(1 - share**2)
+        red = replace(trial.output, values=trial.output.values + 0.02 * signal.lfilter([1], [1, -share], white))
+        found.append(estimate_crossover([replace(trial, output=red)], POLE_HZ, DELAY_S))
+    off = np.array([(each.half_width_A - 0.05) / each.deviation_A for each in found])
+    assert 0.5 < np.sqrt(np.mean(off**2)) < 1.5
 
 
 def test_an_amplifier_that_is_no_single_pole_is_told() -> None:
