@@ -172,11 +172,13 @@ class TestRefusedAnswer:
         assert entry.status is Status.STATIONARY
 
     def test_too_steep_a_friction_says_how_steep_it_may_be(self, tmp_path: Path) -> None:
-        def designed(v0: object) -> Any:
+        def designed(v0: object, **options: int) -> Any:
             friction = ("[limits]", f'friction = "0.04*tanh(v/{v0})"\n[limits]')
-            return design_nonlinear(nonlinear_scene(tmp_path, friction, *SHORT)).entries[0][0]
+            scene = nonlinear_scene(tmp_path, friction, *SHORT)
+            return design_nonlinear(scene, options=SolverOptions(**options)).entries[0][0]
 
-        said = "; ".join(designed(2e-4).shortfalls)
+        # The replay differs after two iterations as it does at the optimum.
+        said = "; ".join(designed(2e-4, max_iterations=2).shortfalls)
         assert "smallest mass" not in said
         most = re.search(r"model\.nonlinear\.friction rises by .* at most (\S+) N s/m, by a larger v0", said)
         assert most is not None, said
