@@ -1,8 +1,12 @@
-"""Remove from records what is not the device's response: a pure delay of a channel, and leakage of slow motion.
+"""Remove from records what is not the device's response: a pure delay, a drift of clocks, and leakage of slow motion.
 
 Current and acceleration often come from two instruments: a DAQ that starts later, a wireless sensor, a filter of
 linear phase. No device responds that late, and no chain of masses can be fitted: a delay of 50 ms leaves 94 % of the
 response unexplained. The delay is where the nominal device's response to the current best matches the record.
+
+Two instruments also have two clocks. The acceleration y(t (1 + p)) is read in place of y(t), and p = 20 ppm is 0.4
+samples after 2 s at 10 kHz, which a fit explains by a false pole of the accelerometer. To first order the record
+gains p t y'(t), a further column beside the slopes of the chain: one Gauss-Newton step finds p with its deviation.
 
 A record ends amid a hand's tremor or a drift. To the Fourier transform that is a jump from the record's end to its
 beginning, whose lines fall off only in proportion to 1 / frequency: they vary slowly over the bins, look like a
@@ -11,17 +15,21 @@ response to the input, and in a few trials may agree by chance. The slow motion 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import fft
+from scipy import fft, interpolate
 
 from transopt.base.signals import FloatArray, Signal
-from transopt.identify.device.response import CURRENT, Instrument, sampled_response
+from transopt.identify.condensed import condense
+from transopt.identify.device.chain import ChainSearch, GripResponse
+from transopt.identify.device.chain_fit import SIGNIFICANT, ChainFit
+from transopt.identify.device.response import ACCELERATION, CURRENT, INSTRUMENT, Instrument, sampled_response
 from transopt.identify.device.trials import Grip, felt_current, response_of
 from transopt.identify.device.validation import Model, predict
-from transopt.identify.findings import Check, Finding
+from transopt.identify.findings import Check, Finding, beside
 from transopt.identify.measurement import Measurement
+from transopt.identify.squares import inverse
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.state_space import StateSpace
 
@@ -34,6 +42,7 @@ FEWEST_LINES = 50
 BAND_HZ = (5.0, 1000.0)
 SLOW_HZ, TAKEN_HZ = 20.0, 25.0
 NOTICED_HZ = 100.0  # frequency up to which leakage is compared with the rest of the residual
+SPLINE = 7  # degree of the splines between the samples: at a fifth of the rate they are 1e-5 off, cubic ones 4e-3
 NOTICED = 0.05  # energy of the leakage over that of the rest above which it is removed
 
 
@@ -91,6 +100,94 @@ def finding(samples: int, dt_s: float) -> Finding:
     return Check.DELAYED.at("acceleration", late_ms=1e3 * samples * dt_s, samples=samples)
 
 
+@dataclass(frozen=True)
+class Drift:
+    """Drift of the accelerometer's clock against the current's.
+
+    Attributes
+    ----------
+    relative : period of its samples over the current's, less 1.
+    deviation : standard deviation of `relative`.
+    moves : (p,) change of the fit's unknowns by one standard deviation of the drift.
+    """
+
+    relative: float
+    deviation: float
+    moves: FloatArray
+
+    @property
+    def shows(self) -> bool:
+        """Whether the drift is significant against its noise."""
+        return abs(self.relative) > SIGNIFICANT * self.deviation
+
+    def finding(self, longest_samples: int) -> Finding:
+        """The finding that tells the user which drift was removed from records of up to `longest_samples`."""
+        text = (
+            f"sampled by a second clock, {1e6 * self.relative:+.3g} +- {2e6 * self.deviation:.2g} ppm longer a "
+            f"period than the current's, {abs(self.relative) * longest_samples:.2g} samples at a record's end: "
+            "taken out; record both by one clock"
+        )
+        return beside("acceleration", text, "two clocks")
+
+
+def _spline(x: Signal) -> interpolate.BSpline:
+    """Spline through the samples, over their numbers."""
+    return interpolate.make_interp_spline(np.arange(x.values.size), x.values, k=SPLINE)
+
+
+def drift_of(grips: Sequence[Grip], fit: ChainFit) -> Drift:
+    """Drift of the accelerometer's clock: one Gauss-Newton step from `fit`, beside all its unknowns and the delay."""
+    responses, free = [grip.response for grip in grips], fit.maximum.free & ~fit.maximum.bounded
+    free[fit.coordinates.size + INSTRUMENT.index("late")] = True
+    force = fit.device.force_per_current_N_A
+    search = ChainSearch(responses, fit.coordinates, fit.instrument, force, free)
+    residuals, slopes = search.likelihood.evaluate(fit.maximum.unknowns)
+    column = []
+    for grip, response in zip(grips, responses, strict=True):
+        accelerations = [run.require("acceleration") for run in grip.fitted]
+        ticks = [np.arange(x.values.size) for x in accelerations]
+        drifting = [(t * _spline(x).derivative()(t))[None] for t, x in zip(ticks, accelerations, strict=True)]
+        inputs = [
+            (run.require("command") if response.commanded else felt_current(run, fit.instrument.amplifier)).values
+            for run in grip.fitted
+        ]
+        data, j = response.data, response.outputs.index(ACCELERATION)
+        part = np.zeros((len(response.outputs), *data.used.shape), dtype=complex)
+        part[j] = np.einsum("bij,bj->bi", data.roots()[j], condense(inputs, drifting, data.dt_s).values()[0])
+        column += [part.real.ravel(), part.imag.ravel()]
+    whole = np.column_stack([slopes[:, free], np.concatenate(column)])
+    covariance = inverse(whole)
+    step = -covariance @ (whole.T @ residuals)
+    left = residuals + whole @ step
+    covariance *= max(float(left @ left) / max(int(np.count_nonzero(left)) - step.size, 1), 1.0)
+    deviation, moves = float(np.sqrt(covariance[-1, -1])), np.zeros(free.size)
+    moves[free] = covariance[:-1, -1] / deviation
+    return Drift(float(step[-1]), deviation, moves)
+
+
+def without_drift(runs: Sequence[Measurement], drift: float) -> list[Measurement]:
+    """The runs with their accelerations at the ticks of the current; both clocks start together."""
+
+    def moved(quantity: str, x: Signal) -> Signal:
+        if quantity != "acceleration":
+            return x
+        ticks = np.arange(x.values.size)
+        return replace(x, values=_spline(x)(np.clip(ticks / (1 + drift), 0, ticks[-1])))
+
+    return [run.changed(moved) for run in runs]
+
+
+def grip_without_drift(grip: Grip, drift: float, instrument: Instrument) -> Grip:
+    """The grip with the response of its runs without drift."""
+    fitted, kept = (tuple(without_drift(runs, drift)) for runs in (grip.fitted, grip.kept))
+    return replace(grip, fitted=fitted, kept=kept, response=_again(grip, fitted, instrument))
+
+
+def _again(grip: Grip, runs: Sequence[Measurement], instrument: Instrument) -> GripResponse:
+    """The response of a grip from cleaned runs."""
+    return response_of(grip.grip_N, runs, instrument, follows=CURRENT in grip.response.outputs)
+
+
 def leakage(residual_m_s2: FloatArray, dt_s: float) -> tuple[FloatArray, float]:
     """(n,) leakage of the slow part of a residual (n,) into faster lines, and its energy there over the rest's."""
     n = residual_m_s2.size
@@ -116,5 +213,4 @@ def without_leakage(grip: Grip, model: Model, instrument: Instrument) -> Grip | 
         most = max(most, share)
     if most < NOTICED:
         return None
-    follows = CURRENT in grip.response.outputs
-    return replace(grip, response=response_of(grip.grip_N, found, instrument, follows=follows))
+    return replace(grip, response=_again(grip, found, instrument))

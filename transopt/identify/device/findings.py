@@ -91,11 +91,6 @@ def causes_of(
             if one.name == "accelerometer_pole":
                 about = "no file states it" if stated is None else f"the files state {stated:g} Hz"
                 text = f"{one.value:.4g} +- {2 * one.deviation:.2g} Hz found, {about}: taken out of the records"
-                if stated is not None:
-                    text += (
-                        "; if that is its pole, acceleration and current run on two clocks, some 20 ppm apart over "
-                        "2 s, and no interval holds: record both by one clock"
-                    )
                 say("unstated accelerometer pole", "accelerometer pole", text)
             elif one.name == "late" and abs(one.value) > READ_LATE:
                 text = f"read {one.value:+.3g} samples after the current: taken out; read both at the same tick"

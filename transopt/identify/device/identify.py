@@ -10,15 +10,26 @@ from transopt.identify.checks import begun_late, by_grip, within
 from transopt.identify.device.black_box import BlackBox, fit_black_box
 from transopt.identify.device.chain import DriveChain, GripResponse
 from transopt.identify.device.chain_fit import (
+    BETTER,
     EXPLAINED,
     RANDOM_STARTS,
+    WHOLLY,
     ChainFit,
     fit_chain,
     fit_per_grip,
     refit,
     response_variance,
 )
-from transopt.identify.device.cleaned import delay_samples, finding, without_delay, without_leakage
+from transopt.identify.device.cleaned import (
+    Drift,
+    delay_samples,
+    drift_of,
+    finding,
+    grip_without_drift,
+    without_delay,
+    without_drift,
+    without_leakage,
+)
 from transopt.identify.device.effects import (
     Missed,
     at_use,
@@ -61,6 +72,7 @@ from transopt.plant.state_space import StateSpace
 from transopt.scene.model_error import ModelError
 from transopt.scene.model_parts import DriveDevice, StateSpaceDevice
 
+MOST_STEPS = 4  # Gauss-Newton steps of a drift: one of four samples at a record's end takes all
 PREFERENCE = 0.9  # largest error over the chain's at which a black box is chosen: a chain's parameters are physical
 
 
@@ -113,7 +125,9 @@ def identify(
     """
     repeated = [run for run in runs if run.period_s is not None]
     records, transients, late = _ready(runs, transients, settings, tick)
-    records, chain, box = _fitted(records, repeated, settings, tick)
+    records, chain, box, drift = _fitted(records, repeated, settings, tick)
+    if drift is not None:
+        transients = without_drift(transients, drift.relative)
     chosen, *others = _candidates(records, chain, box, tick)
     grips, found = records.grips, [*late, *records.findings]
     error, used = _at_use(chosen, transients, [grip.grip_N for grip in grips])
@@ -125,7 +139,9 @@ def identify(
         advised += about_chain(chain, own_hands)
     causes, wrong = ["clock"], two_clocks(records.instrument.dt_s, settings.servo_s)
     if not wrong:  # with a wrong clock, an apparent gain or pole would only compensate for it
-        beside_it = causes_of(chosen, chain, grips, used, error, repeated) + noise_findings(grips)
+        longest = max(run.require("acceleration").values.size for grip in grips for run in grip.fitted)
+        beside_it = [] if drift is None else [drift.finding(longest)]
+        beside_it += causes_of(chosen, chain, grips, used, error, repeated) + noise_findings(grips)
         if chain is not None and box is not None and chosen.kind is Kind.STATE_SPACE:
             beside_it.append(beyond_a_chain(box))
         causes = [finding.cause for finding in beside_it if finding.cause]
@@ -186,26 +202,57 @@ def _measured(records: Records) -> list[GripResponse]:
 
 def _fitted(
     records: Records, repeated: Sequence[Measurement], settings: Settings, tick: Callable[[str], None]
-) -> tuple[Records, ChainFit | None, BlackBox | None]:
-    """The records without leakage, and the fitted models: the kind asked for, or both if either may be better."""
+) -> tuple[Records, ChainFit | None, BlackBox | None, Drift | None]:
+    """The records without drift and leakage, the models (the kind asked for, or both if either may be better), and
+    the drift."""
     chain: ChainFit | None = None
     box: BlackBox | None = None
+    drift: Drift | None = None
     held = any(grip.grip_N > 0 for grip in records.grips)
     if settings.kind is Kind.DRIVE or (settings.kind is Kind.AUTO and held):
-        chain = fit_chain(
-            _measured(records),
-            records.instrument,
-            settings.nominal,
-            random_starts=settings.random_starts,
-            tick=lambda: tick("drive chain"),
-        )
+        records, chain, drift = _fitted_chain(records, settings, tick)
         calm = [without_leakage(grip, chain.device, chain.instrument) for grip in records.grips]
         if any(calm):
             records = replace(records, grips=[new or old for new, old in zip(calm, records.grips, strict=True)])
             chain = refit(chain, _measured(records))
+        if drift is not None:
+            # One standard deviation of the drift moves all unknowns together.
+            moves, maximum = drift_of(records.grips, chain).moves, chain.maximum
+            covariance = maximum.covariance + np.outer(moves, moves)
+            chain = replace(chain, maximum=replace(maximum, covariance=covariance))
     if settings.kind is Kind.STATE_SPACE or (settings.kind is Kind.AUTO and _worth_a_box(chain, repeated)):
         box = fit_black_box(_measured(records), records.instrument, settings.order, tick=lambda: tick("state space"))
-    return records, chain, box
+    return records, chain, box, drift
+
+
+def _fitted_chain(
+    records: Records, settings: Settings, tick: Callable[[str], None]
+) -> tuple[Records, ChainFit, Drift | None]:
+    """The chain, fitted again to records without drift of the accelerometer's clock if they show one."""
+
+    def fitted(to: Records) -> ChainFit:
+        return fit_chain(
+            _measured(to),
+            to.instrument,
+            settings.nominal,
+            random_starts=settings.random_starts,
+            tick=lambda: tick("drive chain"),
+        )
+
+    first = fit = fitted(records)
+    steady, whole = records, 0.0
+    for _ in range(MOST_STEPS):
+        step = drift_of(steady.grips, fit)
+        if not step.shows:
+            break
+        whole += step.relative
+        moved = [grip_without_drift(grip, whole, records.instrument) for grip in records.grips]
+        steady = replace(records, grips=moved, between=without_drift(records.between, whole))
+        fit = fitted(steady)
+    # A device that is not a chain is fitted better with any drift: take it only if it explains most of the misfit.
+    if whole == 0 or (fit.scatter > WHOLLY and first.scatter < BETTER * fit.scatter):
+        return records, first, None
+    return steady, fit, replace(step, relative=whole)
 
 
 def _candidates(
