@@ -80,7 +80,9 @@ REQUESTS: dict[Kind, Request] = {
         (R.FAULT_LATCHED, R.NOT_ARMED, R.BY_CONTACT, R.STILL_PLAYING, R.BAD_VALUE, R.TOO_HOT),
     ),
     Kind.SURFACE: Request(
-        Kind.DONE, "idle, armed", (R.NO_CONFIGURATION, R.FAULT_LATCHED, R.STILL_PLAYING, R.BAD_VALUE)
+        Kind.DONE,
+        "idle, armed",
+        (R.NO_CONFIGURATION, R.FAULT_LATCHED, R.STILL_PLAYING, R.WALL_PUSHES, R.BAD_VALUE),
     ),
 }
 HEAD = f"""# The protocol, version {messages.PROTOCOL}

@@ -299,10 +299,17 @@ def _try_out(device: "Device", console: "Console", seconds: float | None) -> Non
 def _follow(drift: "Drift", device: "Device", recorder: "Recorder", console: "Console", file: Path | None) -> None:
     """Move the surface to where the stylus has come to rest on it, on the device, in the recording, in the file."""
     from controller.device.reading import restate
+    from controller.host.driver import RefusedError
+    from controller.protocol.codes import Reason
 
     moved, stored = drift.moved, ""
-    drift.done()
-    device.surface(drift.surface_counts)
+    try:
+        device.surface(drift.surface_counts + moved)
+    except RefusedError as refused:
+        if refused.reason not in (Reason.STILL_PLAYING, Reason.WALL_PUSHES):
+            raise
+        return  # touched since the newest record: the next rest will do
+    drift.done(moved)
     recorder.surface_counts = drift.surface_counts
     if file is not None:
         restate(file, "encoder.surface_counts", drift.surface_counts)

@@ -107,9 +107,9 @@ class Drift:
         if len(self._offsets) == IN_A_ROW:
             self._moved = float(median(self._offsets))
 
-    def done(self) -> None:
-        """Confirm that the surface has been moved."""
-        self.surface_counts += self._moved
+    def done(self, moved: float) -> None:
+        """Confirm that the surface has been moved by so many counts."""
+        self.surface_counts += moved
         self._moved, self._offsets = 0.0, []
 
 

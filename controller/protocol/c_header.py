@@ -14,6 +14,7 @@ from controller.protocol.messages import MESSAGES
 from controller.protocol.packed import OPEN_END
 from controller.servo import rules, settings
 from controller.servo.interface import Fault
+from transopt.plant.coil import WINDING_C
 
 HEADER_PATH = Path(__file__).parents[1] / "firmware" / "src" / "core" / "td_messages.h"
 C_TYPES = {"B": "u8", "H": "u16", "I": "u32", "i": "i32", "Q": "u64", "f": "f32", "d": "f64"}
@@ -30,6 +31,7 @@ CAPACITY = {
 # Limits of `capacity`, under the same names; what a host takes by default is not the device's business.
 LIMITS = {name: value for name, value in vars(capacity).items() if name.isupper() and name != "LEASE_DEFAULT_MS"}
 LIMITS |= {name: value for name, value in vars(rules).items() if isinstance(value, int | float)}
+LIMITS["COLDEST_C"] = WINDING_C[0]
 LIMITS |= {
     name: getattr(settings, name) for name in ("DELAY_TICKS", "PULSE_NODES", "PUSH_S", "SCALE_LEAST", "SCALE_MOST")
 }

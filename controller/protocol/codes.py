@@ -80,6 +80,7 @@ class Reason(Enum):
     CURRENT_FLOWS = (
         "a current flows that nobody commanded: check amplifier, supply and the monitor's zero, then try again"
     )
+    WALL_PUSHES = "the wall pushes against the stylus: lift it off the surface, then move the surface"
 
 
 class Stage(IntEnum):

@@ -23,7 +23,6 @@ from tests.benches.probed import ProbedDevice
 from tests.benches.servo import AMPLIFIER
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel
-from transopt.plant.wall import Wall
 
 pytestmark = pytest.mark.usefixtures("c_compiler")
 
@@ -380,41 +379,6 @@ def test_three_stops_have_three_names(start: Start) -> None:
     told = [EVENTS[x.code] for x in talker.heard() if isinstance(x, m.Event)]
     assert told == [Fault.HOST_STOP]
     assert len({EVENT_CODES[fault] for fault in (Fault.HOST_STOP, *stops.values())}) == 3
-
-
-def test_a_surface_that_moves_over_the_stylus_engages_no_wall(start: Start) -> None:
-    """A host that lifts the surface of an armed device commands no current; the wall waits for free air again."""
-    walled = replace(SETTINGS, wall=Wall(4000.0, 20.0, 1.25, 2, 500.0))
-    talker = Talker(start())
-    talker.configured(configuration_of(walled)).loaded()
-    talker.done(arm(walled, IMAGE))
-    talker.step(200)
-    talker.tell(talker.lease())
-    for counts in (REST.encoder_counts + 80, REST.encoder_counts - 80, REST.encoder_counts + 400):
-        talker.done(m.Surface(float(counts)))
-        commands = [talker.step().command_A for _ in range(200)]
-        talker.tell(talker.lease())
-        if counts > REST.encoder_counts:
-            assert not np.any(commands)
-    # The stylus goes out by itself and comes back: then the wall pushes, as it has to.
-    for counts in (*range(REST.encoder_counts, 640, 2), *range(640, 602, -2)):
-        output = talker.step(1, replace(REST, encoder_counts=counts))
-    assert not output.feedback_A
-    pushed = [talker.step(1, replace(REST, encoder_counts=k)).feedback_A for k in range(602, 580, -2)]
-    assert max(pushed) > 1.0
-
-
-def test_a_surface_that_moves_plays_no_contact_that_the_stylus_did_not_make(start: Start) -> None:
-    talker = Talker(start())
-    talker.ready()
-    talker.done(arm(SETTINGS, IMAGE))
-    states = set()
-    # It comes in at 0.1 m/s, far above the surface, which meets it.
-    for tick in range(120):
-        if tick == 60:
-            talker.tell(m.Surface(REST.encoder_counts - 0.5 * tick + 3.0))
-        states.add(talker.step(1, replace(REST, encoder_counts=REST.encoder_counts - tick // 2)).state)
-    assert State.PLAYING not in states
 
 
 def test_holds_that_are_not_yet_late_pass_the_limit_by_no_more_than_is_stated(start: Start) -> None:

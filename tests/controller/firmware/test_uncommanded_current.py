@@ -56,8 +56,12 @@ def test_the_hardwares_guard_counts_whatever_is_measured(start: Start, measured_
 
 def test_a_restart_cools_no_coil(start: Start) -> None:
     assert start(heat_C=(180.0, 95.0)).coil_C() == pytest.approx((180.0, 95.0))
-    # A guard never keeps more than its ceiling: beyond it nothing is known.
-    assert start(heat_C=(1001.0, 1001.0)).coil_C() == pytest.approx(start(heat_C=None).coil_C())
+    assert start(heat_C=(-40.0, -40.0)).coil_C() == pytest.approx((-40.0, -40.0))
+
+
+@pytest.mark.parametrize("kept_C", [1001.0, -41.0, -math.inf, math.nan])
+def test_what_no_guard_keeps_is_as_hot_as_may_be(start: Start, kept_C: float) -> None:
+    assert start(heat_C=(kept_C, kept_C)).coil_C() == pytest.approx(start(heat_C=None).coil_C())
 
 
 def resting(device: ProbedDevice) -> Talker:

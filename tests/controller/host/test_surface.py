@@ -41,7 +41,7 @@ def test_three_rests_on_one_side_move_the_surface_by_their_median(drift: Drift) 
     assert drift.moved == 0.0
     tapped(drift, 7)
     assert drift.moved == pytest.approx(7.5, abs=0.5)
-    drift.done()
+    drift.done(drift.moved)
     assert (drift.moved, drift.surface_counts) == (0.0, pytest.approx(1007.5, abs=0.5))
     tapped(drift, 7, 8, 7, 8)
     assert drift.moved == 0.0

@@ -255,6 +255,9 @@ static td_refusal move_surface(td_device *device, double counts)
         return td_refuse(TD_REASON_FAULT_LATCHED, (double)NAN);
     if (state == TD_STATE_PLAYING)
         return td_refuse(TD_REASON_STILL_PLAYING, (double)NAN);
+    /* The wall of another surface lets go of the stylus at once. */
+    if (td_size(device->servo.earlier_A) > 0)
+        return td_refuse(TD_REASON_WALL_PUSHES, (double)device->servo.earlier_A);
     if (!(fabs(counts) <= TD_ENCODER_MOST_COUNTS))
         return td_refuse(TD_REASON_BAD_VALUE, counts);
     td_servo_set_surface(&device->servo, &device->store.config, counts);

@@ -24,10 +24,10 @@ static bool coil_is_sound(const td_hardware *h)
            is_size(h->tau_h_s) && h->limit_C > h->ambient_C && h->limit_C < 1e9 && h->ambient_C > -1e9;
 }
 
-/* What the guard itself may have kept; anything else, NaN too, is not known. */
+/* What the guard itself may have kept, which is no colder than any coil; anything else, NaN too, is not known. */
 static double known(double temperature_C, double otherwise_C)
 {
-    return temperature_C > -300 && temperature_C <= TD_CEILING_C ? temperature_C : otherwise_C;
+    return temperature_C >= TD_COLDEST_C && temperature_C <= TD_CEILING_C ? temperature_C : otherwise_C;
 }
 
 static void start_coil(td_ring *ring, const td_hardware *h, double winding_C, double housing_C)
