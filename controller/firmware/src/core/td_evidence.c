@@ -36,8 +36,9 @@ static td_wide high_pass(td_wide value, td_wide part, td_wide *low)
 static void close_block(td_motion *motion, td_wide count_m, td_wide dt_s)
 {
     const td_wide part = TD_MOTION_RATE_1_S * dt_s, fading = motion->fading;
-    const td_wide m_s2 = motion->open_m_s2 / motion->open;
-    td_wide encoder = (td_wide)motion->open_counts / motion->open * count_m, accelerometer;
+    const td_wide each = 1 / (td_wide)motion->open; /* divisions in software are long */
+    const td_wide m_s2 = motion->open_m_s2 * each;
+    td_wide encoder = (td_wide)motion->open_counts * each * count_m, accelerometer;
     int32_t j;
 
     for (j = 0; j < 3; j++)
@@ -64,9 +65,8 @@ void td_evidence_see(td_evidence *evidence, const td_config *config, const td_re
         memset(motion, 0, sizeof *motion);
         return;
     }
-    if (motion->blocks == 0 && motion->open == 0)
+    if (motion->blocks == 0 && motion->open == 0) {
         motion->origin = counts;
-    if (motion->open == 0) {
         motion->size = (int32_t)ceil(TD_MOTION_BLOCK_S / config->dt_s);
         motion->fading = 1 - motion->size * config->dt_s / TD_MOTION_S;
     }
@@ -81,11 +81,10 @@ void td_evidence_see(td_evidence *evidence, const td_config *config, const td_re
  * if the two are not correlated. */
 static double motion_ratio(const td_motion *motion, td_wide dt_s)
 {
-    const td_wide block_s = ceil(TD_MOTION_BLOCK_S / dt_s) * dt_s;
-    const td_wide least = TD_MOTION_LEAST_M * TD_MOTION_LEAST_M * TD_MOTION_S / block_s;
+    const td_wide block_s = motion->size * dt_s, least = TD_MOTION_LEAST_M * TD_MOTION_LEAST_M * TD_MOTION_S;
     const td_wide product = motion->by_encoder * motion->by_accelerometer;
 
-    if (!(motion->blocks * block_s >= TD_MOTION_SETTLED_S && motion->by_accelerometer >= least))
+    if (!(motion->blocks * block_s >= TD_MOTION_SETTLED_S && motion->by_accelerometer * block_s >= least))
         return (double)NAN;
     if (!(motion->by_both * motion->by_both >= TD_MOTION_ALIKE * TD_MOTION_ALIKE * product))
         return (double)NAN;

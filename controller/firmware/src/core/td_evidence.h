@@ -15,7 +15,7 @@
  * encoder's zero, and requires no rest, which a trembling hand never has. */
 typedef struct {
     int32_t open, blocks, origin; /* readings of the present block; complete blocks so far; counts of the first reading */
-    int32_t size;                 /* readings per block; computed with `fading` from the servo period, once per block */
+    int32_t size;                 /* readings per block; computed with `fading` from the servo period, once */
     int64_t open_counts;
     td_wide open_m_s2, fading;
     td_wide low[3];    /* position: low-pass part that each stage removes [m] */
