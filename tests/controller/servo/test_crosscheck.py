@@ -30,7 +30,7 @@ def core(settings: Settings, table: Bank) -> CoreServo:
 
 
 @pytest.mark.parametrize("kind", [Servo, core], ids=["Python", "C"])
-@pytest.mark.parametrize(("jerk_m_s3", "stuck"), [(8.0, False), (800.0, True)])
+@pytest.mark.parametrize(("jerk_m_s3", "stuck"), [(80.0, False), (800.0, True)])
 def test_a_tilt_is_learnt_at_rest_and_a_stylus_that_is_flung_has_a_stuck_encoder(
     stated: Settings, tables: Bank, c_compiler: None, kind: Callable[..., Servo], jerk_m_s3: float, stuck: bool
 ) -> None:

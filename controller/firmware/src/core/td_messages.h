@@ -277,7 +277,7 @@ enum {
 #define TD_STUCK_COUNTS 10.0
 #define TD_STUCK_LEAST_M 0.0002
 #define TD_STUCK_TURNS 60
-#define TD_STUCK_HELD 4.0
+#define TD_STUCK_HELD 8.0
 #define TD_QUIET_M_S2 0.980665
 #define TD_DEAD_M_S2 0.1
 #define TD_QUIET_BLOCK_S 0.001
