@@ -63,8 +63,8 @@ SEEN_WHEN = {
         f"as long within two neighbouring counts with {STUCK_TURNS} turns or more, as one with a single "
         "channel makes; or, by the accelerometer, a motion of "
         f"{STUCK_COUNTS:g} counts and {1e3 * STUCK_LEAST_M:g} mm while a transient plays, {STUCK_HELD:g} times that "
-        "while more than {stuck_A} A flow in a wall. A hand that presses for {stuck_s} s without a count is taken for it "
-        "too: one five times calmer than most, or any over 59 um a count on a wall of 2000 N/m"
+        "while more than {stuck_A} A flow in a wall. A hand that presses for {stuck_s} s without a count is taken "
+        "for it too: one five times calmer than most, or any over 59 um a count on a wall of 2000 N/m"
     ),
     Fault.NO_CURRENT: (
         "for {no_current_s} s less than {no_current_part} of the expected current flows, where that is "

@@ -20,8 +20,8 @@ STUCK_COUNTS, STUCK_LEAST_M = 10.0, 2e-4  # motion without a count of a stuck en
 # Turns between two neighbouring counts, within the time of a still encoder, of one that has lost a channel: those of
 # a stylus that goes 3 mm at 24.5 um a count. A hand that trembles by 12 Hz on an edge makes 24 in a second.
 STUCK_TURNS = 60
-# Times that in a wall alone. A tilt is learnt late among its rare counts; in FOLLOW_STILL_S the whole of gravity makes
-# 2 mm, eight times the ten counts of 24.5 um.
+# Times that in a wall alone. A tilt is learnt late among its rare counts; in FOLLOW_STILL_S the whole of gravity
+# makes 2 mm, eight times the ten counts of 24.5 um.
 STUCK_HELD = 8.0
 QUIET_M_S2 = 0.980665  # rms about the mean, a tenth of g, below which the accelerometer is silent
 DEAD_M_S2 = 0.1  # rms below which an accelerometer is dead: without noise it cannot prove a motion
