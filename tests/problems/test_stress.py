@@ -21,6 +21,7 @@ from transopt.problem.answer import Certificate, Status
 from transopt.proof.certify import admissible, movement_bound, reduced_gradient
 from transopt.proof.designed import Designed
 from transopt.proof.effect import Effect
+from transopt.proof.replay import Samples
 from transopt.solvers.choose import prove
 from transopt.solvers.options import SolverOptions
 
@@ -197,7 +198,9 @@ class TestJudge:
 
     def test_another_replay_is_bad(self, designed: Designed) -> None:
         run = played(designed.problem, designed.solution.command)
-        off = replace(run, acceleration_m_s2=run.acceleration_m_s2 * (1 + 1e-5))
+        courses = run.samples.courses
+        other = courses._replace(accelerations_m_s2=courses.accelerations_m_s2 * (1 + 1e-5))
+        off = replace(run, samples=Samples(lambda: other))
         assert judge_design(designed, off).kind == "bad: REPLAY_VIOLATION"
 
     @pytest.mark.parametrize("status", [Status.NUMERICAL_FAILURE, Status.ITERATION_LIMIT, Status.INFEASIBLE])

@@ -342,7 +342,7 @@ def _unit_in_word(name: str) -> tuple[str, str] | None:
     """The beginning of a name and the unit at its end, as in acc_g, acc1 g or ai0_mps2; None without a unit.
 
     Behind a quantity's name the unit is one of that quantity. Behind any other name it is spelt exactly and follows
-    an underscore, because Channel A is no current.
+    an underscore, because Channel A is no current. What a quantity's name has in Hz is a property of its sensor.
     """
     marks = [at for at, mark in enumerate(name) if mark in "_ "]
     parted = [(name[:at].strip(" _"), name[at + 1 :].strip(), name[at]) for at in marks]
@@ -359,7 +359,10 @@ def _unit_in_word(name: str) -> tuple[str, str] | None:
         if base and any(read_unit(unit, quantity) for quantity in of):
             return base, unit
     behind = ((base, unit) for base, unit, mark in parted if base and mark == "_" and unit != SMALLEST)
-    return next(((base, unit) for base, unit in behind if is_exact(unit)), None)
+    exact = ((base, unit) for base, unit in behind if is_exact(unit))
+    return next(
+        (each for each in exact if not (read_unit(each[1], "frequency") and _quantity_called(each[0], ALIASES))), None
+    )
 
 
 def _is_word(name: str) -> bool:

@@ -168,9 +168,9 @@ class TestLibrary:
     def test_multipliers_that_are_none_are_refused(self, library: Library, tmp_path: Path, how: str) -> None:
         name, multipliers = "mu_stroke_device_2_lower", dict(library.multipliers_of)
         multipliers[name] = {
-            "short": multipliers[name][..., 1:],
-            "not finite": np.full_like(multipliers[name], np.nan),
-        }.get(how, multipliers[name])
+            "short": library.array(name)[..., 1:],
+            "not finite": np.full_like(library.array(name), np.nan),
+        }.get(how, library.array(name))
         path = tmp_path / "library.npz"
         replace(library, multipliers_of=multipliers).save(path)
         if how == "gone":
