@@ -126,6 +126,8 @@ class Answered:
     def unlimited_objective(self) -> float:
         """J of that optimum; NaN where it was not found."""
         command = self.unlimited_command
+        if command is self.solution.command:  # inside all limits
+            return self.certificate.objective
         return self.problem.objective(command, self.problem.accelerations(command))
 
     @property
