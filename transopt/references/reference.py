@@ -129,7 +129,7 @@ class Reference:
         """Target of the device at this speed: r - a_free and a_free itself."""
         return self.aimed()
 
-    @property
+    @cached_property
     def aims_at_recorded(self) -> bool:
         """Whether r - a_free is r itself, along a single direction."""
         return self.recorded_m_s2.ndim == 1 and not any(getattr(self, name).any() for name in COURSES[3:6])

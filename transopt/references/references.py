@@ -55,18 +55,19 @@ class Cells:
                 cells = [[] for _ in column]
                 stacked = np.zeros((len(column), grips, first.stacked.size))
                 asked = np.empty((len(column), grips, *target.whole_m_s2.shape))
+                count = asked.shape[-1]  # of samples of r, and of a_free after them
             for i, cell in enumerate(column):
                 # Memory of zeros that is never written to is not allocated.
-                for part, _ in cell.within_stacked.values():
-                    if cell.stacked[part].any():
-                        stacked[i, j, part] = cell.stacked[part]
+                ends = (count, 2 * count) if cell.aims_at_recorded else (0, 0)
+                for part in (slice(ends[0]), slice(ends[1], None)):
+                    stacked[i, j, part] = cell.stacked[part]
+                if cell.aims_at_recorded:
+                    resting.append((i, j))
                 moved = cell.with_courses(stacked[i, j])
                 vars(moved)["target"] = moved.aimed(asked[i, j])
-                if moved.aims_at_recorded:
-                    resting.append((i, j))
                 cells[i].append(moved)
         if len(resting) == len(cells) * grips:
-            asked, resting = stacked[..., : asked.shape[-1]], []
+            asked, resting = stacked[..., :count], []
         for i, j in resting:
             asked[i, j] = cells[i][j].target.whole_m_s2
         parts = np.split(asked, [target.lost, target.lost + first.recorded_m_s2.shape[-1]], axis=-1)
