@@ -313,7 +313,8 @@ def _prepared(
     settings: Recordings,
 ) -> PreparedTap:
     raw, stretch, (onset, found) = recording.acceleration, settings.time_scale, touched
-    recording, turned = facing_out(recording, up.signal, onset)
+    # A simulated position has the project's sign.
+    recording, turned = (recording, []) if settings.simulated else facing_out(recording, up.signal, onset)
     recording, gripped = _gripped(recording, onset)
     is_stated = settings.offset_m_s2 != "baseline"
     came = find_approach(up.signal, recording.position, onset, noise, settings.trusted_from_Hz, stated=is_stated)
