@@ -119,7 +119,8 @@ class Reference:
         """A copy whose courses are parts of one array (K,), in the order of `stacked`, and with other fields."""
         found, within = object.__new__(type(self)), self.within_stacked
         vars(found).update(vars(self), **others, stacked=stacked)
-        vars(found).pop("target", None)
+        for of_courses in ("target", "aims_at_recorded"):
+            vars(found).pop(of_courses, None)
         for name, (part, shape) in within.items():
             vars(found)[name] = stacked[part] if len(shape) == 1 else stacked[part].reshape(shape)
         return found

@@ -206,6 +206,17 @@ class TestWithoutGrip:
         assert known == [False, False, True, True]
 
 
+def test_other_courses_have_a_target_of_their_own(whole: References) -> None:
+    """Whether the hand accelerates the stylus is asked anew of courses that replace others."""
+    cell = whole.cells[0]
+    assert cell.aims_at_recorded
+    part, _ = cell.within_stacked["free_m_s2"]
+    courses = cell.stacked.copy()
+    courses[part] += 1.0
+    moved = cell.with_courses(courses)
+    np.testing.assert_allclose(moved.target.window_m_s2, cell.recorded_m_s2 - 1.0, rtol=1e-12, atol=1e-12)
+
+
 def test_a_blend_has_a_target_of_its_own(whole: References) -> None:
     for cell in whole:
         assert cell.target is cell.target  # kept with the cell, from which a blend must not take it
