@@ -172,7 +172,9 @@ class Stages:
         if problem.thermal is not None:
             by[place[WINDING]] /= self.kelvin
         priced = np.abs(by_row)
-        in_SI = np.ascontiguousarray((np.where(priced > ROUNDING * priced.max(initial=0.0), by_row, 0.0) * by).T)
+        # What is NaN stays NaN, for the certificate to refuse.
+        left = np.where(priced <= ROUNDING * priced.max(initial=0.0), 0.0, by_row)
+        in_SI = np.ascontiguousarray((left * by).T)
         upper, lower = np.maximum(in_SI, 0.0), np.maximum(-in_SI, 0.0)
         pairs, slope = {name: (lower[j, :N], upper[j, :N]) for name, j, _ in rows}, np.zeros(N)
         if problem.thermal is not None:
