@@ -25,13 +25,19 @@ def start(request: pytest.FixtureRequest) -> Start:
     return lambda: ProbedDevice(9, HARDWARE, request.param, simulated=True)
 
 
-def test_a_surface_that_moves_over_the_stylus_engages_no_wall(start: Start) -> None:
-    """A host that lifts the surface of an armed device commands no current; the wall waits for free air again."""
-    walled = replace(SETTINGS, wall=Wall(4000.0, 20.0, 1.25, 2, 500.0))
+def over(start: Start, wall: Wall, ticks: int) -> Talker:
+    """A device armed over a wall, so many ticks later."""
+    walled = replace(SETTINGS, wall=wall)
     talker = Talker(start())
     talker.configured(configuration_of(walled)).loaded()
     talker.done(arm(walled, IMAGE))
-    talker.step(200)
+    talker.step(ticks)
+    return talker
+
+
+def test_a_surface_that_moves_over_the_stylus_engages_no_wall(start: Start) -> None:
+    """A host that lifts the surface of an armed device commands no current; the wall waits for free air again."""
+    talker = over(start, Wall(4000.0, 20.0, 1.25, 2, 500.0), 200)
     talker.tell(talker.lease())
     for counts in (REST.encoder_counts + 80, REST.encoder_counts - 80, REST.encoder_counts + 400):
         talker.done(m.Surface(float(counts)))
@@ -49,11 +55,7 @@ def test_a_surface_that_moves_over_the_stylus_engages_no_wall(start: Start) -> N
 
 def test_a_surface_is_not_moved_under_a_wall_that_pushes(start: Start) -> None:
     """The wall of another surface would drop the hand that leans on this one."""
-    walled = replace(SETTINGS, wall=Wall(4000.0, 1.0, 1.25, 1, 500.0))
-    talker = Talker(start())
-    talker.configured(configuration_of(walled)).loaded()
-    talker.done(arm(walled, IMAGE))
-    talker.step(100)
+    talker = over(start, Wall(4000.0, 1.0, 1.25, 1, 500.0), 100)
     feedback_A = 0.0
     for counts in (*np.repeat(range(REST.encoder_counts, -20, -1), 10), *[-20] * 20):
         feedback_A = talker.step(1, replace(REST, encoder_counts=int(counts), current_A=feedback_A)).feedback_A
