@@ -13,8 +13,9 @@ neither of which depends on the object that was struck:
   The taps of the built-in scenes have 0.78 (soft rubber, assisted by the hand) to 1.38 (metal), the shock-table
   impacts that these limits were tried on 1.1. g read as m/s^2 divides q by 9.81, m/s^2 read as g multiplies it.
 
-If the speed is unknown or only stated, the height of the low-passed peak is checked as well. Wrong units of speed and
-acceleration that cancel in q show in the speed itself, because the speed of a hand is bounded.
+If the speed is unknown, or q is that of a stylus thrown back faster than it came, the height of the low-passed peak is
+checked as well. Wrong units of speed and acceleration that cancel in q show in the speed itself, because the speed of a
+hand is bounded.
 """
 
 import math
@@ -113,7 +114,7 @@ def implausible_motion(
                 f"the incoming speed is {speed_m_s:.3g} m/s, a hand's {HAND_M_S[0]:g} to {HAND_M_S[1]:g} m/s: check "
                 f"the unit {column}, and that of the acceleration, which agrees with it"
             )
-        return height if ratio > THROWN_BACK or not fitted else ""
+        return height if ratio > THROWN_BACK else ""
     times = f"{ratio:.0f}" if ratio >= 10 else f"{ratio:.2g}"
     found = (
         f"the pulse changes the speed by {up:.3g} m/s, {times} times the incoming {speed_m_s:.3g} m/s (limits "
