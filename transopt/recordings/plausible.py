@@ -13,9 +13,9 @@ neither of which depends on the object that was struck:
   The taps of the built-in scenes have 0.78 (soft rubber, assisted by the hand) to 1.38 (metal), the shock-table
   impacts that these limits were tried on 1.1. g read as m/s^2 divides q by 9.81, m/s^2 read as g multiplies it.
 
-If the speed is unknown, or q is that of a stylus thrown back faster than it came, the height of the low-passed peak is
-checked as well. Wrong units of speed and acceleration that cancel in q show in the speed itself, because the speed of a
-hand is bounded.
+If the speed is unknown, or q is that of a stylus thrown back faster than it came, the height of the low-passed peak
+is checked as well. Wrong units of speed and acceleration that cancel in q show in the speed itself, because the speed
+of a hand is bounded.
 """
 
 import math
