@@ -1,8 +1,8 @@
 /* Runs the interior point on problems from a file, every array in memory of its exact size: for sanitizers and valgrind.
  *
  * Written by solver_memory.py: count, then per problem the integers and numbers of tr_problem in its order, the lengths
- * of its arrays, the arrays. Every problem is solved BESIDE times side by side with itself. Prints per answer: code,
- * iterations, objective, sum of the commands; of a proof, without and with multipliers, the sum of what it bounds in
+ * of its arrays, the arrays. Every problem is solved BESIDE times side by side with itself: as often as fills a register
+ * of ONLY_WIDTH numbers, and once alone. Prints per answer: code, iterations, objective, sum of the commands; of a proof, without and with multipliers, the sum of what it bounds in
  * place of the commands.
  */
 #include <stdio.h>
@@ -10,7 +10,7 @@
 
 #include "../transopt/solvers/native/riccati.h"
 
-enum { INTEGERS = 10, ARRAYS = 20, NUMBERS = 6, BESIDE = 9 };
+enum { INTEGERS = 10, ARRAYS = 20, NUMBERS = 6, BESIDE = ONLY_WIDTH + 1 };
 
 static void read_or_stop(void *into, size_t size, size_t count, FILE *file)
 {
