@@ -30,7 +30,6 @@ from transopt.proof.admit import admit
 from transopt.proof.designed import Attained, Designed
 from transopt.proof.effect import Box, boxes
 from transopt.proof.replay import Replay
-from transopt.solvers import unlimited
 from transopt.solvers.options import SolverOptions
 from transopt.solvers.shape import Size, size
 from transopt.solvers.side_by_side import alone
@@ -138,13 +137,6 @@ class Entry(Answered):
             return self.designed.floor
         free = self.problem.stage.rollout(self.unlimited_command)[0]
         return self.problem.yardstick.tap_error(self.uncorrected, free)
-
-    @cached_property
-    def unlimited_command(self) -> FloatArray:
-        """(N,) the optimum of J without limits, that of the waveform alone."""
-        if self.problem.intensity > 0:
-            return unlimited.solve([self.problem.without_intensity()])[0].command
-        return self.designed.unlimited_command
 
     @property
     def free_peak(self) -> float:

@@ -57,7 +57,7 @@ def most_price(problem: TransientProblem) -> float:
 def intense(problem: TransientProblem, options: SolverOptions) -> Search[Designed]:
     """Search for the minimiser of L whose energy is `problem.intensity_dB`.
 
-    Floor, unlimited optimum and its peak stay those of J. The certificate is that of L at the lam found. The search's
+    The unlimited optimum and its figures stay those of J. The certificate is that of L at the lam found. The search's
     remaining energy error is stated in dB (`Designed.attained`) and is not part of the gap.
     """
     first = yield from seek(problem.without_intensity(), options)
@@ -80,6 +80,7 @@ def intense(problem: TransientProblem, options: SolverOptions) -> Search[Designe
         unlimited_command=first.unlimited_command,
         floor=first.floor,
         free_peak=first.free_peak,
+        unlimited_objective=first.unlimited_objective,
         attained=attained,
     )
 

@@ -51,6 +51,7 @@ def nonlinear_optimum(posed: Posed, options: SolverOptions) -> Designed:
         unlimited_command=linear.unlimited_command,
         floor=linear.floor,
         free_peak=linear.free_peak,
+        unlimited_objective=linear.unlimited_objective,
         left_out={},
         solved=None,
         remarks=[],

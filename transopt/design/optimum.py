@@ -15,12 +15,12 @@ from transopt.problem.answer import Certificate, Solution, Status
 from transopt.problem.leave_out import leave_out, leave_out_all
 from transopt.problem.limits.limit import tolerated
 from transopt.problem.limits.temperature import TemperatureLimit
-from transopt.problem.problem import TransientProblem, tap_errors
+from transopt.problem.problem import TransientProblem
 from transopt.problem.wall_ticks import encoder_course, pressing, pressing_under, silence
 from transopt.proof.admit import stated_wall, unstable_wall
 from transopt.proof.certify import certify, gradient_rounding, under_further_limits
 from transopt.proof.designed import Designed
-from transopt.proof.effect import Effect, effects, inside, warm_up
+from transopt.proof.effect import Effect, Free, free_optima, inside, warm_up
 from transopt.solvers import unlimited
 from transopt.solvers.choose import Certified, prove, prove_all, solve, solve_certified
 from transopt.solvers.options import SolverOptions
@@ -193,8 +193,8 @@ def _silent(problem: TransientProblem, options: SolverOptions) -> Designed:
             f"{problem.limits.input_limit:g} A, with {stated_wall(problem.wall.wall)}"
         ]
     left_out = {"limits": "zero reference: zero waveform"}
-    floor = problem.tap_error(np.zeros_like(problem.target.window_m_s2))
-    return Designed(problem, answer, proof, effect, problem.rest, floor, 0.0, left_out, None, hopeless)
+    ((_, free),) = free_optima([(problem, problem.rest)])
+    return Designed(problem, answer, proof, effect, *free, left_out, None, hopeless)
 
 
 def _mask(problem: TransientProblem) -> bytes:
@@ -246,7 +246,7 @@ class _Attempt:
     ----------
     problem : the problem with all limits. small : without those that cannot bind. left_out : part -> why it has not.
     free : that optimum, and its effect in `problem`; its certificate there, or None where it leaves a limit.
-    floor, peak : its tap error and its largest plant input.
+    figures : of that optimum.
     """
 
     problem: TransientProblem
@@ -255,8 +255,7 @@ class _Attempt:
     free: Solution
     effect: Effect
     proof: Certificate | None
-    floor: float
-    peak: float
+    figures: Free
 
     @cached_property
     def inside(self) -> str:
@@ -266,7 +265,7 @@ class _Attempt:
             return ""
         unit = problem.driven_by.unit
         return (
-            f"the unlimited optimum is inside all limits: {problem.driven_by.name} {self.peak:.3g} {unit} of "
+            f"the unlimited optimum is inside all limits: {problem.driven_by.name} {self.figures.peak:.3g} {unit} of "
             f"{problem.limits.input_limit:g} {unit}, "
             f"command {np.abs(self.free.command).max():.3g} {unit} of {problem.command_bound:g} {unit}"
         )
@@ -288,35 +287,33 @@ class _Attempt:
     ) -> Designed:
         """The answer; `without` has what else was left out."""
         answer, proof, effect = found
-        left_out, numbers = {**self.left_out, **without}, (self.free.command, self.floor, self.peak)
-        return Designed(self.problem, answer, proof, effect, *numbers, left_out, solved, list(remarks))
+        left_out = {**self.left_out, **without}
+        return Designed(self.problem, answer, proof, effect, *self.figures, left_out, solved, list(remarks))
 
 
 def _without_limits(problems: Sequence[TransientProblem], options: SolverOptions) -> list[_Attempt]:
     """The optima without limits, certified where they keep all limits."""
     reduced = leave_out_all(problems)
     free = unlimited.solve([each.problem for each in reduced], brief=options.brief)
-    done = effects([(problem, answer.command) for problem, answer in zip(problems, free, strict=True)])
-    peaks = [float(np.abs(effect.motion.plant_input).max()) for effect in done]
-    errors = tap_errors(problems, [effect.motion.acceleration_m_s2 for effect in done])
+    done = free_optima([(problem, answer.command) for problem, answer in zip(problems, free, strict=True)])
     limits = [problem.limits.input_limit for problem in problems]
-    low = [i for i, (peak, limit) in enumerate(zip(peaks, limits, strict=True)) if peak <= limit + tolerated(limit)]
-    proofs = dict(zip(low, certificates([(done[i], free[i].multipliers) for i in low]), strict=True))
+    low = [i for i, limit in enumerate(limits) if done[i][1].peak <= limit + tolerated(limit)]
+    proofs = dict(zip(low, certificates([(done[i][0], free[i].multipliers) for i in low]), strict=True))
     found = []
     for i, (problem, each) in enumerate(zip(problems, reduced, strict=True)):
-        answer, effect, proof = free[i], done[i], proofs.get(i)
-        # Without a solved unlimited optimum the floor is unknown.
-        floor = errors[i] if answer.status is Status.OPTIMAL else np.nan
+        answer, (effect, figures), proof = free[i], done[i], proofs.get(i)
         if proof is not None and not proof.excess <= KEPT:
             proof = None
         if proof is not None and not proof.is_stationary and not options.brief:
             # The compiled pass may lose digits in ill-conditioned problems; the other method may leave a smaller gap.
             other = unlimited.solve_apart(each.problem)
-            its_effect = Effect(problem, other.command)
+            ((its_effect, its_figures),) = free_optima([(problem, other.command)])
             its_proof = certified(problem, other.command, other.multipliers, effect=its_effect)
             if its_proof.excess <= KEPT and its_proof.relative_gap < proof.relative_gap:
-                answer, proof, effect = other, its_proof, its_effect
-        found.append(_Attempt(problem, each.problem, each.left_out, answer, effect, proof, floor, peaks[i]))
+                answer, proof, effect, figures = other, its_proof, its_effect, its_figures
+        if answer.status is not Status.OPTIMAL:
+            figures = figures._replace(floor=np.nan)  # unknown without a solved unlimited optimum
+        found.append(_Attempt(problem, each.problem, each.left_out, answer, effect, proof, figures))
     return found
 
 

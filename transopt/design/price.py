@@ -350,7 +350,7 @@ def prices(
     binds = binding(problem, command, multipliers, effect=effect)
     if not binds:
         return []
-    error = problem.tap_error(effect.motion.acceleration_m_s2)
+    error = problem.yardstick.tap_error(problem.target, effect.motion.acceleration_m_s2)
     trials = TrialOptions(options.solver, options.tolerance, options.max_iterations)
     pricing = _Pricing(problem, Effect(problem, unlimited), error, trials)
     found = together([pricing.price(limit) for limit in problem.limits if limit.name in binds])

@@ -22,6 +22,7 @@ from transopt.design.optimum import optimum
 from transopt.problem.answer import OBJECTIVE_SCALE
 from transopt.problem.problem import TransientProblem
 from transopt.proof.designed import Designed
+from transopt.proof.effect import free_optima
 from transopt.solvers.choose import prove
 from transopt.solvers.options import SolverOptions
 
@@ -123,17 +124,18 @@ def least_worst(problem: TransientProblem, options: SolverOptions) -> Designed:
             if search.is_near:
                 break
     except _UnprovenError as found:
-        return replace(found.designed, problem=replace(found.designed.problem, worst=True))
+        return _of_the_worst(found.designed)
     except _FoundError:
         pass
-    designed = search.best
-    assert designed is not None
-    worst, answer = replace(designed.problem, worst=True), replace(designed.solution, solve_time_s=search.spent_s)
-    effect = designed.effect.of(worst)
-    return replace(
-        designed,
-        problem=worst,
-        solution=answer,
-        certificate=prove(worst, answer.command, answer.multipliers, options, effect=effect),
-        effect=effect,
-    )
+    assert search.best is not None
+    designed = _of_the_worst(search.best)
+    answer, effect = replace(designed.solution, solve_time_s=search.spent_s), designed.effect.of(designed.problem)
+    proof = prove(designed.problem, answer.command, answer.multipliers, options, effect=effect)
+    return replace(designed, solution=answer, certificate=proof, effect=effect)
+
+
+def _of_the_worst(designed: Designed) -> Designed:
+    """An answer to the weighted mean, in the problem of the worst device; its certificate stays that of the mean."""
+    worst = replace(designed.problem, worst=True)
+    ((_, free),) = free_optima([(worst, designed.unlimited_command)])
+    return replace(designed, problem=worst, unlimited_objective=free.objective)

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
@@ -15,10 +14,10 @@ from transopt.problem.answer import Certificate, Multipliers, Solution, Status
 from transopt.problem.objective.figures import Figures
 from transopt.problem.objective.target import Target
 from transopt.problem.objective.tracking import filter_together
-from transopt.problem.problem import TransientProblem, tap_errors
+from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import binding_limits, certify
 from transopt.proof.designed import Designed
-from transopt.proof.effect import Effect, effects
+from transopt.proof.effect import Effect, Free, effects, free_optima
 from transopt.proof.nonlinear import NonlinearEffect, certify_nonlinear
 
 NAN = float("nan")
@@ -122,13 +121,10 @@ class Answered:
         """(N,) the optimum of J without limits."""
         return self.designed.unlimited_command
 
-    @cached_property
+    @property
     def unlimited_objective(self) -> float:
         """J of that optimum; NaN where it was not found."""
-        command = self.unlimited_command
-        if command is self.solution.command:  # inside all limits
-            return self.certificate.objective
-        return self.problem.objective(command, self.problem.accelerations(command))
+        return self.designed.unlimited_objective
 
     @property
     def linear_command(self) -> FloatArray | None:
@@ -183,10 +179,10 @@ def uncorrected_of(library: Library, iv: int, ig: int, problem: TransientProblem
 
 
 Prove = Callable[[Sequence[tuple[Effect, Multipliers]]], list[Certificate]]
-Free = Callable[[Sequence[TransientProblem]], list[FloatArray | None]]
+Unlimited = Callable[[Sequence[TransientProblem]], list[FloatArray | None]]
 
 
-def answers_of(library: Library, grips: Sequence[int], prove: Prove, unlimited: Free) -> list[Designed]:
+def answers_of(library: Library, grips: Sequence[int], prove: Prove, unlimited: Unlimited) -> list[Designed]:
     """The answers that the entries of some grips state, grips outermost, with certificates computed here.
 
     Parameters
@@ -212,15 +208,7 @@ def answers_of(library: Library, grips: Sequence[int], prove: Prove, unlimited: 
     return list(map(_designed, problems, answers, proofs, made, frees))
 
 
-class _Free(NamedTuple):
-    """A problem's optimum (N,) without limits, its tap error, and its largest plant input."""
-
-    command: FloatArray
-    floor: float
-    peak: float
-
-
-def _frees(problems: Sequence[TransientProblem], unlimited: Free) -> list[_Free]:
+def _frees(problems: Sequence[TransientProblem], unlimited: Unlimited) -> list[Free]:
     """The optimum of each problem without limits; zero for a zero reference, NaN where none was found."""
     asked = [problem for problem in problems if not problem.reference_is_zero]
     found = iter(unlimited([problem.without_intensity() for problem in asked]))
@@ -229,11 +217,7 @@ def _frees(problems: Sequence[TransientProblem], unlimited: Free) -> list[_Free]
         (problem, np.full_like(problem.rest, NAN) if command is None else command)
         for problem, command in zip(problems, commands, strict=True)
     ]
-    with np.errstate(invalid="ignore"):
-        motions = [effect.motion for effect in effects(known)]
-        floors = tap_errors(problems, [motion.acceleration_m_s2 for motion in motions])
-    peaks = [float(np.abs(motion.plant_input).max()) for motion in motions]
-    return [_Free(command, *of) for (_, command), *of in zip(known, floors, peaks, strict=True)]
+    return [free for _, free in free_optima(known)]
 
 
 def _answer(library: Library, iv: int, ig: int, *accepted: Status) -> Solution:
@@ -245,13 +229,13 @@ def _answer(library: Library, iv: int, ig: int, *accepted: Status) -> Solution:
 
 
 def _designed(
-    problem: TransientProblem, answer: Solution, proof: Certificate, effect: Effect, free: _Free
+    problem: TransientProblem, answer: Solution, proof: Certificate, effect: Effect, free: Free
 ) -> Designed:
     return Designed(problem, answer, proof, effect, *free, {}, None, [])
 
 
 def _on_plant(
-    library: Library, iv: int, ig: int, plant: NonlinearCoil, problem: TransientProblem, free: _Free
+    library: Library, iv: int, ig: int, plant: NonlinearCoil, problem: TransientProblem, free: Free
 ) -> Designed:
     """The answer that an entry of a nonlinear plant states, together with the linear design."""
     answer, nonlinear = _answer(library, iv, ig, Status.STATIONARY), nonlinear_problem(library, iv, ig, plant)

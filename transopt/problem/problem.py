@@ -365,10 +365,6 @@ class TransientProblem:
         with np.errstate(over="ignore", invalid="ignore"):  # the loop of an unstable wall overflows
             return self.yardstick.figures(self.target, accelerations_m_s2)
 
-    def tap_error(self, accelerations_m_s2: FloatArray) -> float:
-        """`Figures.tap_error` alone, for y'' (K,) or (p, K) from tau_0 on, K at least the samples of the window."""
-        return self.yardstick.tap_error(self.target, accelerations_m_s2)
-
     def objective(
         self, command: FloatArray, accelerations_m_s2: FloatArray, plant_input: FloatArray | None = None
     ) -> float:
@@ -426,20 +422,6 @@ def objectives(
     first, tracked = problems[0], values([problem.tracking for problem in problems], accelerations_m_s2)
     found = np.asarray(tracked + [first.movement.value(command) for command in commands])
     return found + [first.heat.value(each) for each in plant_inputs] if first.heat_price > 0 else found
-
-
-def tap_errors(problems: Sequence[TransientProblem], accelerations_m_s2: Sequence[FloatArray]) -> list[float]:
-    """Tap errors (`TransientProblem.tap_error`) of y'' in several problems, those of equal sizes side by side."""
-    groups: dict[tuple[object, ...], list[int]] = {}
-    for i, (problem, made) in enumerate(zip(problems, accelerations_m_s2, strict=True)):
-        alike = problem.grid, problem.intention_s, problem.named, problem.target.lost, made.shape
-        groups.setdefault(alike, []).append(i)
-    found = dict[int, float]()
-    for group in groups.values():
-        targets = [problems[i].target for i in group]
-        made = np.stack([accelerations_m_s2[i] for i in group])
-        found |= zip(group, problems[group[0]].yardstick.tap_errors(targets, made).tolist(), strict=True)
-    return [found[i] for i in range(len(problems))]
 
 
 FIELDS = {field.name for field in fields(TransientProblem)}

@@ -85,6 +85,7 @@ class Designed:
     unlimited_command : (N,) the optimum without limits.
     floor : tap error of that optimum against the problem's target.
     free_peak : its largest plant input [A or V].
+    unlimited_objective : its J.
     left_out : part -> why the solved problem does not have it.
     solved : the problem passed to a solver; None where one linear solve was sufficient.
     remarks : why there is no answer.
@@ -100,6 +101,7 @@ class Designed:
     unlimited_command: FloatArray
     floor: float
     free_peak: float
+    unlimited_objective: float
     left_out: dict[str, str]
     solved: TransientProblem | None
     remarks: list[str]

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from transopt.problem.answer import Multipliers
 from transopt.problem.limits.limit import Limit
 from transopt.problem.limits.row import Row
 from transopt.problem.limits.temperature import TemperatureLimit
-from transopt.problem.problem import TransientProblem
+from transopt.problem.problem import BESIDES_THE_TARGET, TransientProblem, objectives
 
 TEMPERATURE = TemperatureLimit.row_names[0]
 
@@ -186,6 +187,35 @@ def effects(commands: Sequence[tuple[TransientProblem, FloatArray]]) -> list[Eff
         for course, effect in enumerate(group):
             effect.continued, effect.lasting = continued[course], lasting.of_course(course)
     return found
+
+
+class Free(NamedTuple):
+    """The optimum (N,) of a problem without limits: its tap error, its largest plant input [A or V], and its J."""
+
+    command: FloatArray
+    floor: float
+    peak: float
+    objective: float
+
+
+def free_optima(commands: Sequence[tuple[TransientProblem, FloatArray]]) -> list[tuple[Effect, Free]]:
+    """Effects and figures of optima (N,) without limits, each in its problem, those of one device side by side."""
+    done, found = effects(commands), dict[int, Free]()
+    groups: dict[tuple[int, ...], list[int]] = {}
+    for i, effect in enumerate(done):
+        problem = effect.problem
+        groups.setdefault((problem.target.lost, *map(id, BESIDES_THE_TARGET(problem))), []).append(i)
+    for group in groups.values():
+        problems, some = [commands[i][0] for i in group], Together([done[i] for i in group], [])
+        inputs, made = some.motions[0].plant_input, some.accelerations_m_s2
+        along = made if problems[0].directions else made[:, 0]
+        with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
+            floors = problems[0].yardstick.tap_errors([problem.target for problem in problems], along)
+            objective = objectives(problems, some.command, made, inputs)
+        peaks = np.abs(inputs).reshape(len(group), -1).max(axis=1)
+        figures = (each.tolist() for each in (floors, peaks, objective))
+        found |= zip(group, map(Free, [effect.command for effect in some.effects], *figures), strict=True)
+    return [(effect, found[i]) for i, effect in enumerate(done)]
 
 
 class Together:

@@ -15,7 +15,6 @@ from transopt.problem.answer import Status
 from transopt.problem.baselines import clipped_optimum
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.figures import Figures
-from transopt.problem.problem import tap_errors
 from transopt.proof.effect import warm_up
 from transopt.web.price import Priced
 from transopt.web.warm import Warm
@@ -123,10 +122,9 @@ def shown(indices: Sequence[int], entries: Sequence[Entry]) -> list[Shown]:
     clipped, certified = _clipped(entries), [entry for entry in entries if _is_certified(entry)]
     warm_up([entry.designed.effect for entry in certified])
     own = dict(zip(map(id, certified), _figures(certified), strict=True))
-    errors = tap_errors([entry.problem for entry in entries], [clipped[id(entry)][0] for entry in entries])
     return [
-        _shown(index, entry, own.get(id(entry)), error, *clipped[id(entry)])
-        for index, entry, error in zip(indices, entries, errors, strict=True)
+        _shown(index, entry, own.get(id(entry)), *clipped[id(entry)])
+        for index, entry in zip(indices, entries, strict=True)
     ]
 
 
@@ -139,19 +137,20 @@ def _figures(entries: Sequence[Entry]) -> list[Figures]:
     return entries[0].problem.yardstick.figures_of(targets, np.stack(optima))
 
 
-def _clipped(entries: Sequence[Entry]) -> dict[int, tuple[FloatArray, FloatArray]]:
-    """Entry's id -> (N + M,) acceleration and input of the clipped optimum; a device's taps are computed together."""
+def _clipped(entries: Sequence[Entry]) -> dict[int, tuple[float, FloatArray, FloatArray]]:
+    """Entry's id -> tap error and (N + M,) acceleration and input of the clipped optimum, device by device."""
     devices: dict[int, list[Entry]] = {}
     for entry in entries:
         devices.setdefault(id(entry.problem.stage), []).append(entry)
-    found = {}
+    found = dict[int, tuple[float, FloatArray, FloatArray]]()
     for together in devices.values():
         problem = together[0].problem
         free = np.stack([entry.designed.unlimited_command for entry in together])
         commands = clipped_optimum(problem.stage, problem.grid, free, problem.limits.input_limit)
         lasting = np.concatenate([commands, np.zeros((len(together), problem.grid.after_stages))], axis=1)
-        for entry, *rolled in zip(together, *problem.stage.rollout(lasting), strict=True):
-            found[id(entry)] = rolled[0], rolled[1]
+        made, inputs = problem.stage.rollout(lasting)
+        errors = problem.yardstick.tap_errors([entry.problem.target for entry in together], made)
+        found |= zip(map(id, together), zip(errors.tolist(), made, inputs, strict=True), strict=True)
     return found
 
 

@@ -286,7 +286,7 @@ class TestAdmission:
         problem = with_limit(problem, limit)
         proof, effect = certify(problem, solution.command, solution.multipliers), Effect(problem, solution.command)
         rest = np.zeros(problem.grid.stages)
-        return Designed(problem, solution, proof, effect, rest, 0.0, 0.0, {}, None, [])
+        return Designed(problem, solution, proof, effect, rest, 0.0, 0.0, 1.0, {}, None, [])
 
     @pytest.fixture
     def run(self, designed: Designed) -> Replay:

@@ -11,9 +11,9 @@ from transopt.design.optimum import at_their_instants
 from transopt.problem.answer import Status
 from transopt.problem.heat import Budget
 from transopt.problem.limits.temperature import temperature_limit
-from transopt.problem.problem import TransientProblem, tap_errors
+from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify, under_further_limits
-from transopt.proof.effect import Effect
+from transopt.proof.effect import Effect, free_optima
 from transopt.scene.scene import Scene
 from transopt.solvers.choose import solve
 from transopt.solvers.native import extension
@@ -86,10 +86,14 @@ def test_a_proof_holds_under_further_limits_as_far_as_they_are_met(
     assert not left.is_stationary
 
 
-def test_tap_errors_side_by_side_are_those_of_each_tap(make_problem: ProblemMaker) -> None:
+def test_figures_without_limits_side_by_side_are_those_of_each_tap(make_problem: ProblemMaker) -> None:
     asked = [make_problem(), make_problem(0.2), make_problem(stages=300), make_problem(0.2, 1.0)]
+    asked.append(asked[0].aiming_at(asked[1].target))
     random = np.random.default_rng(0)
-    made = [50.0 * i * random.standard_normal(problem.grid.stages) for i, problem in enumerate(asked)]
-    alone = [problem.tap_error(course) for problem, course in zip(asked, made, strict=True)]
-    assert tap_errors(asked, made) == pytest.approx(alone, rel=1e-12)
-    assert max(alone) > 1.1 * min(alone)
+    commands = [0.5 * i * random.standard_normal(problem.grid.stages) for i, problem in enumerate(asked)]
+    for problem, (effect, free) in zip(asked, free_optima([*zip(asked, commands, strict=True)]), strict=True):
+        (made,), motion = problem.accelerations(free.command), problem.stage.motion(free.command)
+        assert effect.problem is problem
+        assert free.floor == pytest.approx(problem.yardstick.tap_error(problem.target, made), rel=1e-12)
+        assert free.objective == pytest.approx(problem.objective(free.command, made[None]), rel=1e-12)
+        assert free.peak == pytest.approx(np.abs(motion.plant_input).max(), rel=1e-12)
