@@ -13,6 +13,8 @@ from transopt.proof.designed import Designed
 from transopt.solvers.options import SolverOptions
 from transopt.solvers.side_by_side import Search, together
 
+PLAYED_TOGETHER = 64  # answers in one simulation; the courses of more at fine steps would set the peak of memory
+
 
 @one_blas_thread()
 def design(
@@ -48,7 +50,10 @@ def design(
     played: dict[tuple[object, ...], list[int]] = {}
     for number, designed in solved.items():
         played.setdefault(_played_with(problems[number], designed), []).append(number)
-    for numbers in played.values():
+    some = [
+        group[at : at + PLAYED_TOGETHER] for group in played.values() for at in range(0, len(group), PLAYED_TOGETHER)
+    ]
+    for numbers in some:
         first = problems[numbers[0]]
         uncorrected = [problems[n].uncorrected or solved[n].problem.target for n in numbers]
         batch = Batch([solved[n] for n in numbers], first.coil, first.steady_input, uncorrected, with_rivals=rivals)

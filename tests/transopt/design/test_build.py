@@ -150,6 +150,21 @@ def test_no_floor_is_told_where_the_optimum_without_limits_is_not_found(
     assert np.isnan(designed.floor)
 
 
+def test_answers_played_in_several_simulations_are_those_of_one(
+    scene: Scene, taps: list[Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    context = Context.recorded(scene, taps)
+    posed = context.posed_together([row[0] for row in context.cells.rows], *scene.axes.devices[0])
+    whole = design(posed)
+    monkeypatch.setattr("transopt.design.design.PLAYED_TOGETHER", 3)
+    parted = design(posed)
+    assert [len({id(entry.batch) for entry in found}) for found in (whole, parted)] == [1, 2]
+    for one, other in zip(whole, parted, strict=True):
+        assert vars(one.figures) == pytest.approx(vars(other.figures), rel=1e-9, nan_ok=True)
+        np.testing.assert_allclose(one.plant_input, other.plant_input, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(one.made_m_s2, other.made_m_s2, rtol=1e-9, atol=1e-9)
+
+
 def test_an_entry_that_has_let_its_courses_go_tells_the_same(scene: Scene, taps: list[Recording]) -> None:
     (entry,) = design([Context.recorded(scene, taps).posed(0.4, 5.0)])
     effect, target, tracking = entry.designed.effect, entry.problem.target, entry.problem.tracking
