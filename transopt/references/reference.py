@@ -208,6 +208,8 @@ class TimeAxis:
         # Window, tail, lost samples, ticks: all but the ticks sample r.
         self._instants = grid.switching_times_s, grid.after_times_s, grid.before_times_s, grid.all_issue_times_s
         self.felt_at_s = np.concatenate(self._instants[:3])
+        ends = itertools.accumulate((each.size for each in self._instants), initial=0)
+        self._kinds = [slice(*of) for of in itertools.pairwise(ends)]
 
     def points(self, end_s: float) -> int:
         """How many points of the fine axis reach from the settling to a time after contact."""
@@ -215,7 +217,7 @@ class TimeAxis:
 
     def by_kind(self, courses: FloatArray) -> list[FloatArray]:
         """Courses (..., m) at the instants, in their order, split into window, tail, lost samples and ticks."""
-        return np.split(courses, np.cumsum([each.size for each in self._instants])[:-1], axis=-1)
+        return [courses[..., part] for part in self._kinds]
 
     def motion(self, speed_m_s: float, grip_N: float, incoming_m_s2: float) -> FloatArray:
         """(3, m) a_free, z_nom and its derivative at all instants; z_nom = 0, dz_nom/dt = -speed at contact."""
