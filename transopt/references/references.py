@@ -302,6 +302,13 @@ def grip_groups(grips_N: Sequence[float]) -> list[list[float]]:
     return groups
 
 
+def _as_stated(grip_N: float, grips_N: Sequence[float]) -> float:
+    """A recorded grip as the scene states it, or else as `transopt taps` writes it: to three digits."""
+    written = f"{grip_N:.3g}"
+    nearest = min(grips_N, key=lambda stated: abs(stated - grip_N), default=grip_N)
+    return nearest if f"{nearest:.3g}" == written else float(written)
+
+
 @one_blas_thread()
 def build_references(
     recordings: Sequence[Recording],
@@ -315,7 +322,8 @@ def build_references(
 
     Parameters
     ----------
-    grips_N : grips of the scene; taps that state no grip get a cell for each of them.
+    grips_N : grips of the scene; taps that state no grip get a cell for each of them, and taps of one of them serve
+        that grip unblended.
     free : motion of the hand of a recording without current.
 
     Raises
@@ -332,7 +340,7 @@ def build_references(
         for alike in grouped:
             own = [(tap, factor) for tap, factor in group if tap.recording.grip_N in alike]
             if own:
-                mean = float(f"{np.mean(alike):.3g}")  # as `transopt taps` writes it
+                mean = _as_stated(float(np.mean(alike)), grips_N)
                 of, factors = zip(*own, strict=True)
                 cells.append(build_reference(speed, mean, of, np.array(factors), axis, (mean,)))
                 if alike[-1] > alike[0]:

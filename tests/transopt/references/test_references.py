@@ -1,5 +1,6 @@
 """The grip axis of references: cells by speed and grip, blends between them, and mixtures that are refused."""
 
+import itertools
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -85,6 +86,15 @@ class TestCells:
             assert len(cell.taps) == 3
             assert {tap.recording.grip_N for tap in cell.taps} == {cell.grip_N}
             assert whole.at(cell.speed_m_s, cell.grip_N) is cell
+
+    def test_a_grip_of_more_than_three_digits_has_its_own_taps(self, scene: Scene) -> None:
+        grips_N = [1.0, 1.444444, 5.0]
+        stated = with_values(scene, {"grid.grips_N": grips_N})
+        found = references_of(stated, recordings(stated))
+        for speed, grip in itertools.product(scene.grid.speeds_m_s, grips_N):
+            cell = found.at(speed, grip)
+            assert (cell.grip_N, cell.of_grips_N) == (grip, (grip,))
+            assert {tap.recording.grip_N for tap in cell.taps} == {grip}
 
     def test_grips_are_not_alike(self, whole: References) -> None:
         """They differ by more than ten times what repeats do: averaged, no grip would have its tap."""
