@@ -226,7 +226,7 @@ def _certificates(some: Together) -> list[Certificate]:
         if row.name in some.pairs:
             slack += sum(map(_paired, some.pairs[row.name], (below, above)))
     hot = [problem.thermal is not None and each.most(TEMPERATURE) > 0 for each in multipliers]
-    warm_up(effects)
+    warm_up([effect for effect in effects if not effect.problem.stays_cool])
     by_heating = None
     if any(hot):
         by_heating = np.stack([effect.by_heating(each) for effect, each in zip(effects, multipliers, strict=True)])
@@ -249,10 +249,7 @@ def _certificate(effect: Effect, multipliers: Multipliers, numbers: _Numbers) ->
         # A gap relative to an infinite objective would be accepted.
         return Certificate.nothing()
     outside = [(limit, by) for (limit, _), by in zip(problem.rows(), numbers.outside.tolist(), strict=True)]
-    if problem.thermal is not None:
-        hotter = float((effect.winding_C - problem.thermal.bounds_C).max())
-        outside.append((problem.thermal, np.inf if np.isnan(hotter) else hotter))
-    violations, excess = left_over(problem, outside, float(np.abs(numbers.tail).max()))
+    violations, excess = left_over(problem, outside, float(np.abs(numbers.tail).max()), winding=effect)
     if not (numbers.finite and np.isfinite(excess)):
         # Thermal runaway: there is no steady state.
         return replace(Certificate.nothing(), objective=J, merit=merit)
