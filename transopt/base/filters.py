@@ -6,7 +6,7 @@ large at 8 Hz and 100 kHz. It also avoids loading scipy.signal, which takes a se
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -90,5 +90,5 @@ def _side_by_side(signals: Sequence[Signal], filtered: Callable[[FloatArray, flo
     found = list(signals)
     for numbers, courses in alike(signals, ABREAST):
         for i, values in zip(numbers, filtered(courses, signals[numbers[0]].rate_Hz), strict=True):
-            found[i] = replace(signals[i], values=np.array(values))
+            found[i] = signals[i].with_values(np.array(values))
     return found

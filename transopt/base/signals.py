@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -43,7 +43,7 @@ class Signal:
             raise InputError(f"a signal needs at least 2 samples in one column, got shape {self.values.shape}")
         if not (math.isfinite(self.start_s) and math.isfinite(self.dt_s) and self.dt_s > 0):
             raise InputError(f"sampling period {self.dt_s:g} s from {self.start_s:g} s: must be finite and > 0")
-        if not np.isfinite(self.values).all():
+        if not is_finite(self.values):
             first = int(np.flatnonzero(~np.isfinite(self.values))[0])
             raise InputError(f"sample {first} is {self.values[first]}: every sample must be a finite number")
 
@@ -100,11 +100,20 @@ class Signal:
 
     def part(self, first: int, end: int) -> "Signal":
         """The samples from `first` up to `end`, at their own times."""
-        return replace(self, start_s=self.start_s + first * self.dt_s, values=self.values[first:end])
+        return Signal(self.start_s + first * self.dt_s, self.dt_s, self.values[first:end])
 
     def scaled(self, factor: float) -> "Signal":
         """The signal with all its values multiplied by `factor`."""
-        return replace(self, values=factor * self.values)
+        return self.with_values(factor * self.values)
+
+    def with_values(self, values: FloatArray) -> "Signal":
+        """A signal of other values (n,) at the same times."""
+        return Signal(self.start_s, self.dt_s, values)
+
+
+def is_finite(array: FloatArray) -> bool:
+    """Whether all numbers are finite; the sum of their squares, fast, settles that unless it overflows."""
+    return math.isfinite(np.vdot(array, array)) or bool(np.isfinite(array).all())
 
 
 def read_only(values: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from transopt.base.signals import FloatArray
+from transopt.base.signals import FloatArray, is_finite
 from transopt.plant.discretise import Motion, StageModel
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers
 from transopt.problem.limits import hand_over
@@ -334,12 +334,7 @@ def is_stated(problem: TransientProblem, command: FloatArray, multipliers: Multi
     N, arrays = problem.grid.stages, [command, *multipliers.arrays()]
     motors = problem.rest.shape[:-1]
     shapes = [(*motors, N)] + [(N,)] * (len(arrays) - 3) + [(*motors, problem.hand_over_samples), (N,)]
-    return [a.shape for a in arrays] == shapes and all(map(_is_finite, arrays))
-
-
-def _is_finite(array: FloatArray) -> bool:
-    """Whether all numbers are finite; the sum of their squares, fast, settles that unless it overflows."""
-    return math.isfinite(np.vdot(array, array)) or bool(np.isfinite(array).all())
+    return [a.shape for a in arrays] == shapes and all(map(is_finite, arrays))
 
 
 def left_over(

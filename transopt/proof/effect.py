@@ -207,7 +207,7 @@ def free_optima(commands: Sequence[tuple[TransientProblem, FloatArray]]) -> list
         groups.setdefault((problem.target.lost, *map(id, BESIDES_THE_TARGET(problem))), []).append(i)
     for group in groups.values():
         problems, some = [commands[i][0] for i in group], Together([done[i] for i in group], [])
-        inputs, made = some.motions[0].plant_input, some.accelerations_m_s2
+        inputs, made = np.stack([each.motion.plant_input for each in some.effects]), some.accelerations_m_s2
         along = made if problems[0].directions else made[:, 0]
         with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
             floors = problems[0].yardstick.tap_errors([problem.target for problem in problems], along)

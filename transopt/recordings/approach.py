@@ -16,7 +16,8 @@ A sensor that reads down to 0 Hz has w = 0 and q = 0. Then only the approach is 
 scale has no effect; otherwise the course from the approach to after the tap.
 """
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -88,7 +89,7 @@ def find_approach(
     incoming = before + missing
     if abs(incoming) <= max(error, LEAST_M_S2):
         return Approach(x, source=source)
-    return Approach(replace(x, values=x.values + missing), missing, incoming, source)
+    return Approach(x.with_values(x.values + missing), missing, incoming, source)
 
 
 def _coming(x: Signal, onset_s: float) -> slice:
@@ -116,8 +117,8 @@ def _by_position(x: Signal, position: Signal, onset_s: float, noise_m_s2: float)
     solution, interval = _fitted(x, position, inside, onset_s, 3)
     # Doubly integrated noise bends the fitted parabola instead of scattering about it, like a biased mean
     # acceleration.
-    bent = 3 * noise_m_s2 * float(np.sqrt(x.dt_s / (position.dt_s * (samples - 1))))
-    return 2 * float(solution[2]), float(np.hypot(2 * interval[2], bent)), SEPARATED
+    bent = 3 * noise_m_s2 * math.sqrt(x.dt_s / (position.dt_s * (samples - 1)))
+    return 2 * float(solution[2]), math.hypot(2 * interval[2], bent), SEPARATED
 
 
 def _completed(x: Signal, position: Signal | None, onset_s: float, trusted_from_Hz: float) -> Approach:
@@ -137,10 +138,10 @@ def _completed(x: Signal, position: Signal | None, onset_s: float, trusted_from_
         )
         return Approach(x, slow_part_known=known, notes=(f"{said}: {lost}",))
     w = 2 * np.pi * trusted_from_Hz
-    inverse = replace(x, values=x.values + w * integral(x.values, x.dt_s))
+    inverse = x.with_values(x.values + w * integral(x.values, x.dt_s))
     solution, interval = _fitted(inverse, position, inside, onset_s, 4)
     slope = 6 * float(solution[3])
-    whole = replace(x, values=inverse.values + 2 * float(solution[2]) + slope * (x.times_s - onset_s))
+    whole = x.with_values(inverse.values + 2 * float(solution[2]) + slope * (x.times_s - onset_s))
     coming = whole.values[_coming(x, onset_s)]
     incoming = float(coming.mean()) if coming.size else 0.0
     if abs(incoming) <= max(2 * interval[2], LEAST_M_S2):
@@ -152,7 +153,7 @@ def _completed(x: Signal, position: Signal | None, onset_s: float, trusted_from_
 def _fitted(x: Signal, position: Signal, inside: slice, onset_s: float, terms: int) -> tuple[FloatArray, FloatArray]:
     """Fit (`fitted`, over the time from contact) of the position minus the doubly integrated acceleration x."""
     t = position.start_s + position.dt_s * np.arange(inside.start, inside.stop)
-    known = x.part(0, x.before(t[-1]) + 1)  # up to the first sample after the position's last one
-    moved = integral(integral(known.values, x.dt_s), x.dt_s)
-    rest = position.values[inside] - np.interp(t, known.times_s, moved)
+    end = x.before(t[-1]) + 1  # of the first sample after the position's last one
+    moved = integral(integral(x.values[:end], x.dt_s), x.dt_s)
+    rest = position.values[inside] - np.interp(t, x.times_s[:end], moved)
     return fitted(float(t[0]) - onset_s, position.dt_s, rest, position.count, terms)

@@ -5,7 +5,6 @@ in the recording unless the scene states them.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -98,7 +97,7 @@ def _toe(rise: Rise, onset_s: float, noise_m_s2: float, settings: Recordings) ->
     left = noise_m_s2 * np.sqrt(min(2 * settings.time_scale * settings.lowpass_Hz / x.rate_Hz, 1.0))
     level = max(TOE_LEVEL * float(x.values.max()), TOE_TO_NOISE * left)
     onset = x.before(onset_s)
-    first = int(_behind_last_below(rises[None], np.array([onset]), np.array([level]))[0])
+    first = 1 + int(np.flatnonzero(rises[:onset] < level).max(initial=-1))
     energy = recorded[first:] ** 2 - noise_m_s2**2
     toe, whole = float(energy[: onset - first].sum()), float(energy.sum())
     return min(x.start_s + x.dt_s * first, onset_s), max(toe, 0.0) / whole if whole > 0 else 0.0
@@ -111,7 +110,7 @@ def _turned(signals: Sequence[Signal]) -> list[Signal]:
         centred = values - medians(values)[:, None]
         peaks = centred[np.arange(len(numbers)), np.argmax(np.abs(centred), axis=1)]
         for i, turned in zip(numbers, centred * np.sign(peaks)[:, None], strict=True):
-            found[i] = replace(signals[i], values=turned)
+            found[i] = signals[i].with_values(turned)
     return found
 
 
@@ -196,10 +195,10 @@ def rises(ups: Sequence[Upright], smooth: Sequence[Signal], settings: Recordings
     smooth : the signals of `ups`, low-passed.
     """
     slowest_Hz = settings.time_scale * SLOWEST_HZ
-    found = [Rise(replace(up.signal, values=up.signal.values - up.rest_m_s2)) for up in ups]
+    found = [Rise(up.signal.with_values(up.signal.values - up.rest_m_s2)) for up in ups]
     fast = [i for i, rise in enumerate(found) if slowest_Hz < 0.45 * rise.signal.rate_Hz]
     recorded = highpass_all([found[i].signal for i in fast], slowest_Hz)
-    lowpassed = [replace(smooth[i], values=smooth[i].values - ups[i].rest_m_s2) for i in fast]
+    lowpassed = [smooth[i].with_values(smooth[i].values - ups[i].rest_m_s2) for i in fast]
     for i, *quick in zip(fast, recorded, highpass_all(lowpassed, slowest_Hz), strict=True):
         found[i] = found[i]._replace(quick=tuple(quick))
     return found

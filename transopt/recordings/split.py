@@ -38,7 +38,7 @@ def bounds(x: Signal) -> list[tuple[int, int]]:
         return whole
     # Subtract the level at the start of the file; otherwise the filter would see a step there.
     rest = np.median(x.values[: max(int(START_S / x.dt_s), 1)])
-    quick = highpass(replace(x, values=x.values - rest), SLOWEST_HZ).values
+    quick = highpass(x.with_values(x.values - rest), SLOWEST_HZ).values
     # A released force or a lifted stylus moves in the opposite direction of a tap.
     quick = quick * np.sign(quick[np.argmax(np.abs(quick))])
     loud = np.flatnonzero(quick > max(LEAST_SHARE * float(quick.max()), LEAST_TO_NOISE * white_noises([x])[0]))

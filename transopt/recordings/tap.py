@@ -215,7 +215,7 @@ def _speed(
     if not (settings.simulated or doubtful):
         # If no baseline gave the offset, the signal contains gravity, which the median removes.
         gravity = 0.0 if is_level_known else median(x.values)
-        freed = replace(x, values=x.values - gravity)
+        freed = x.with_values(x.values - gravity)
         peak = float(smooth.values.max()) - gravity
         doubtful = implausible_motion(freed, peak, onset_s, speed, settings, fitted=source == FITTED)
         notes = [*notes, *filter(None, [contradiction(recording, onset_s)])]
@@ -365,7 +365,7 @@ def _across(
     for x, sign in ((recording.across_1, 1), (recording.across_2, polarity)):
         quiet = x.values[: x.before(onset_s - GUARD_S)]
         rest = float(quiet.mean()) if quiet.size else median(x.values)
-        smooth = lowpass(replace(x, values=sign * (x.values - rest)), stretch * settings.lowpass_Hz)
+        smooth = lowpass(x.with_values(sign * (x.values - rest)), stretch * settings.lowpass_Hz)
         found.append(Signal((x.start_s - onset_s) * stretch, x.dt_s * stretch, factor * smooth.values))
     return tuple(found)
 
