@@ -86,7 +86,7 @@ def _side_by_side(answers: Sequence[tuple[Effect, Multipliers]], given: Sequence
     commands = _by_stage([effect.command for effect, _ in answers]) / scale
     by_rule = _by_stage([m.hand_over for _, m in answers]) * (scale / OBJECTIVE_SCALE)
     by_row = [
-        _by_row(effect.problem, admissible(effect.problem, multipliers), unit / OBJECTIVE_SCALE)
+        _by_row(effect.problem, multipliers, unit / OBJECTIVE_SCALE)
         for (effect, multipliers), unit in zip(answers, units, strict=True)
     ]
     warm_up([effect for effect, _ in answers if not effect.problem.stays_cool])
@@ -115,13 +115,13 @@ def _by_stage(courses: Sequence[FloatArray]) -> FloatArray:
 
 
 def _by_row(problem: TransientProblem, multipliers: Multipliers, by: FloatArray) -> FloatArray | None:
-    """(2, N, rows) multipliers of lower and upper bounds in units `by` (rows,), contiguous; None if all are zero."""
+    """(2, N, rows) `admissible` multipliers of bounds in units `by` (rows,), contiguous; None if all are zero."""
     if not any(multipliers.most(name) > 0 for name in multipliers.pairs if name != TEMPERATURE):
         return None
-    sides = np.zeros((2, problem.grid.stages, by.size))
+    pairs, sides = admissible(problem, multipliers).pairs, np.zeros((2, problem.grid.stages, by.size))
     for j, (_, row) in enumerate(problem.rows()):
-        if row.name in multipliers.pairs:
-            for side, values in zip(sides, multipliers.pairs[row.name], strict=True):
+        if row.name in pairs:
+            for side, values in zip(sides, pairs[row.name], strict=True):
                 np.multiply(values, by[j], out=side[:, j])
     return sides
 
