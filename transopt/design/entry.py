@@ -130,14 +130,6 @@ class Entry(Answered):
         """Target against which errors are reported, without the correction that a refinement tracks as well."""
         return self.batch.uncorrected[self.index]
 
-    @cached_property
-    def floor(self) -> float:
-        """Tap error of the optimum without limits."""
-        if self.uncorrected is self.problem.target:
-            return self.designed.floor
-        free = self.problem.stage.rollout(self.unlimited_command)[0]
-        return self.problem.yardstick.tap_error(self.uncorrected, free)
-
     @property
     def free_peak(self) -> float:
         """Largest plant input of the optimum without limits."""

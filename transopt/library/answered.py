@@ -121,6 +121,14 @@ class Answered:
         """(N,) the optimum of J without limits."""
         return self.designed.unlimited_command
 
+    @cached_property
+    def floor(self) -> float:
+        """Tap error of that optimum; NaN where it was not found."""
+        if self.uncorrected is self.problem.target:
+            return self.designed.floor
+        free = self.problem.stage.rollout(self.unlimited_command)[0]
+        return self.problem.yardstick.tap_error(self.uncorrected, free)
+
     @property
     def unlimited_objective(self) -> float:
         """J of that optimum; NaN where it was not found."""
@@ -156,14 +164,6 @@ class Stored(Answered):
     @property
     def uncorrected(self) -> Target:
         return self._uncorrected
-
-    @property
-    def floor(self) -> float:
-        """Tap error of the optimum without limits; NaN if that optimum was not found."""
-        if self.uncorrected is self.problem.target:
-            return self.designed.floor
-        free = self.problem.stage.rollout(self.designed.unlimited_command)[0]
-        return self.problem.yardstick.tap_error(self.uncorrected, free)
 
     @property
     def linear_tap_error(self) -> float:
