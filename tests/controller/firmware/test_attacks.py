@@ -1,15 +1,13 @@
 """Found against the device from outside, each by name: refused or harmless, in double and in single precision."""
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from controller.protocol import messages as m
-from controller.protocol.capacity import REST_BETWEEN_PULSES_S, Hardware
+from controller.protocol.capacity import REST_BETWEEN_PULSES_S
 from controller.protocol.codes import EVENT_CODES, EVENTS, Kind, Reason, Stage
 from controller.protocol.configuration import configuration_of
 from controller.protocol.image import HEADER as IMAGE_HEADER
@@ -19,30 +17,11 @@ from controller.servo.interface import Fault, Output, Readings, State
 from controller.servo.settings import Settings
 from tests.benches.compiled import DT_S, smooth_bank
 from tests.benches.device import IMAGE, ONE_WAVEFORM, REST, SETTINGS, Talker
-from tests.benches.probed import ProbedDevice
 from tests.benches.servo import AMPLIFIER
+from tests.controller.firmware.conftest import COIL, HARDWARE, Start
 from transopt.plant.amplifier import Amplifier
-from transopt.plant.coil import CoilModel
-
-pytestmark = pytest.mark.usefixtures("c_compiler")
 
 PUSH, PULSE_TICKS = 30.0, 150  # m/s^2 per A of a stylus that hangs free; ticks of the test pulse
-COIL = CoilModel(2.18, 3.1, 14.0, 12.0, 612.0, 100.0)
-HARDWARE = Hardware(
-    current_A=4.5,
-    command_A=6.0,
-    pole_least_Hz=700.0,
-    pole_most_Hz=1600.0,
-    over_current_A=6.0,
-    has_coil=True,
-    R_ohm=2.18,
-    R_wh_K_W=3.1,
-    R_ha_K_W=14.0,
-    tau_w_s=12.0,
-    tau_h_s=612.0,
-    limit_C=100.0,
-    ambient_C=30.0,
-)
 REST_PULSE_TICKS = round(REST_BETWEEN_PULSES_S / DT_S)
 LEASE_TICKS = 1000  # pulses end without a lease
 PATH_M = PUSH * (PULSE_TICKS * DT_S) ** 2 / 2
@@ -50,15 +29,6 @@ WATCHED = replace(
     SETTINGS, pulse_ticks=PULSE_TICKS, pulse_grip_N=(3.0,), pulse_acceleration=(PUSH,), pulse_path_m=(PATH_M,)
 )
 EXCITED = replace(SETTINGS, host_starts=True)
-Start = Callable[..., ProbedDevice]
-
-
-@pytest.fixture(params=[(), ("-DTD_REAL_FLOAT",)], ids=["double", "single"])
-def start(request: pytest.FixtureRequest) -> Start:
-    def started(*, hardware: Hardware = HARDWARE, simulated: bool = True, **others: Any) -> ProbedDevice:
-        return ProbedDevice(9, hardware, request.param, simulated=simulated, **others)
-
-    return started
 
 
 class Plant:
@@ -155,9 +125,9 @@ def test_a_sound_device_gathers_its_evidence_and_only_for_this_configuration(sta
     ids=str,
 )
 def test_a_wrong_amplifier_monitor_encoder_or_accelerometer_is_not_armed(
-    start: Start, wrong: dict[str, float]
+    single: Start, wrong: dict[str, float]
 ) -> None:
-    talker = Talker(start(simulated=False))
+    talker = Talker(single(simulated=False))
     assert pulsed(talker, Plant(talker, **wrong)).bits == 0
     talker.loaded(IMAGE)
     assert talker.refused(arm(WATCHED, IMAGE, trial=1, gain=0.1)) is Reason.NO_PULSE
@@ -217,10 +187,10 @@ def test_a_configuration_without_a_coil_does_not_burn_the_motor(start: Start) ->
 
 
 @pytest.mark.parametrize("scale_A", [1e39, 3.5e38, math.inf, math.nan, -1.0])
-def test_a_scale_beyond_single_precision_commands_no_nan(start: Start, scale_A: float) -> None:
+def test_a_scale_beyond_single_precision_commands_no_nan(single: Start, scale_A: float) -> None:
     head = dict(zip((name for name, _ in IMAGE_FIELDS), IMAGE_HEADER.unpack_from(ONE_WAVEFORM), strict=True))
     image = IMAGE_HEADER.pack(*{**head, "scale_A": scale_A}.values()) + ONE_WAVEFORM[IMAGE_HEADER.size :]
-    talker = Talker(start())
+    talker = Talker(single())
     talker.configured(configuration_of(EXCITED))
     assert isinstance(talker.upload(image), m.Refused)
 
@@ -262,7 +232,7 @@ def test_a_pulse_keeps_smaller_limits(start: Start) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_no_stated_scale_of_the_amplifier_lets_a_pulse_pass_the_hardwares_limit(start: Start, seed: int) -> None:
+def test_no_stated_scale_of_the_amplifier_lets_a_pulse_pass_the_hardwares_limit(single: Start, seed: int) -> None:
     """The scale is the host's word: neither it nor the truth may let more flow than the port allows."""
     random = np.random.default_rng(seed)
     # A scale of a fifth asks the hardware for five times the limits that are stated.
@@ -273,7 +243,7 @@ def test_no_stated_scale_of_the_amplifier_lets_a_pulse_pass_the_hardwares_limit(
         asked = float(random.uniform(0.0, 1.2 * HARDWARE.pulse_A))
         allowed = max(asked, asked / abs(scale)) <= HARDWARE.pulse_A
         for truth in (1.0, scale):
-            talker = Talker(start())
+            talker = Talker(single())
             talker.configured(configuration_of(replace(weak, amplifier_scale=scale)))
             plant = Plant(talker, amplifier=truth).step(200)
             if not allowed:
@@ -301,10 +271,10 @@ def test_norms_of_zero_do_not_skip_the_prediction_of_heat(start: Start) -> None:
 
 
 @pytest.mark.parametrize("above_K", [-0.01, 0.01])
-def test_nothing_is_armed_within_the_withheld_margin_below_the_coils_limit(start: Start, above_K: float) -> None:
+def test_nothing_is_armed_within_the_withheld_margin_below_the_coils_limit(single: Start, above_K: float) -> None:
     play_limit_C = COIL.limit_C - EXCITED.withhold_K
     warm = replace(EXCITED, coil=replace(COIL, start_winding_C=play_limit_C + above_K, start_housing_C=90.0))
-    talker = Talker(start()).configured(configuration_of(warm)).loaded(ONE_WAVEFORM)
+    talker = Talker(single()).configured(configuration_of(warm)).loaded(ONE_WAVEFORM)
     if above_K > 0:
         assert talker.refused(arm(warm, ONE_WAVEFORM)) is Reason.TOO_HOT
     else:

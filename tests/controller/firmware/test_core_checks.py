@@ -15,10 +15,9 @@ from controller.protocol.image import HEADER as IMAGE_HEADER
 from controller.protocol.image import IMAGE_FIELDS, image_of, sha256
 from controller.protocol.packed import Packed
 from controller.protocol.wire import Decoder, encode
-from controller.servo.interface import Readings
 from controller.servo.settings import Settings
 from tests.benches.compiled import DT_S, TAIL, smooth_bank
-from tests.benches.device import REST, Talker
+from tests.benches.device import Talker
 from tests.benches.probed import ProbedDevice
 from tests.benches.servo import AMPLIFIER, WALL
 from tests.campaigns.conversations import NUMBERS
@@ -244,26 +243,6 @@ def test_where_the_host_starts_there_is_one_waveform(device: Talker) -> None:
     assert device.device.look().library_sha256 == m.NO_HASH
 
 
-def test_events_that_nobody_acknowledges_are_counted_when_there_is_no_room(device: Talker) -> None:
-    """And telemetry goes round in the memory for what goes out, and is dropped where nobody fetches it."""
-    device.configure(configuration_of(SETTINGS))
-    device.tell(m.Telemetry(1, 0))
-    extreme = (1e300, -1e300, 3.4028235e38, 3.5e38, float("nan"))
-    for tick in range(6000):
-        pressed = tick % 50 == 10
-        device.device.step(Readings(tick, 200, extreme[tick % 5], 0.0, extreme[tick % 4], pressed))
-        if tick % 50 == 20:
-            device.tell(m.Reset())
-        if tick % (700 if tick < 3000 else 2600) == 0:
-            device.heard()
-    for said in device.tell(m.EventAck(64)):
-        assert not isinstance(said, m.Event)
-    for tick in range(6000, 6500):
-        device.device.step(Readings(tick, 200, 3.0, 0.0, 0.0, tick == 6100))
-    last = [said for said in device.heard() if isinstance(said, m.Event)][-1]
-    assert last.lost > 50
-
-
 @pytest.fixture
 def device() -> Talker:
     return Talker()
@@ -279,15 +258,3 @@ def test_the_core_outlives_a_host_that_asks_and_never_listens() -> None:
     assert len(said) + core.look().lost_frames == 1000
     core.receive(encode(m.Frame(1, 4711, m.Hello(m.MAGIC, m.PROTOCOL, 0)).payload()))
     assert len(decoder.feed(core.bytes_to_send())) == 1
-
-
-def test_a_stop_before_any_configuration_is_latched(device: Talker) -> None:
-    device.device.step(REST)
-    device.tell(m.EmergencyStop(), m.Reset())
-    device.device.step(REST)
-    assert isinstance(device.configure(configuration_of(BARE)), m.Refused)
-    device.device.step(Readings(1, 200, 3.0, 0.0, 0.0, True))
-    device.tell(m.Reset())
-    device.device.step(REST)
-    assert isinstance(device.tell(m.Reset())[-1], m.Done)
-    assert isinstance(device.configure(configuration_of(BARE)), m.Done)

@@ -14,7 +14,7 @@ from controller.firmware.build import CORE, NoCompilerError, sources
 from controller.firmware.core_device import REPLAY
 from controller.protocol import wire
 from controller.servo.interface import State
-from tests.benches.device import World, clean_answers
+from tests.benches.device import World, need_clean
 from tests.benches.probed import Decoder, ProbedDevice, crc32, encode, sha256
 from tests.campaigns.recorded import BOOT, Conversation, load, save
 from tests.campaigns.test_device_conversations import SCENES, VECTORS, random_talk, said, scene, taps, vouched
@@ -105,7 +105,7 @@ def test_sha256_of_every_length_about_its_blocks() -> None:
 def test_sanitizers_find_nothing(tmp_path: Path) -> None:
     (tmp_path / "talk").write_bytes(b"".join(one.talk() for one in RECORDED))
     files = [*sources(CORE), REPLAY / "td_probe.c", REPLAY / "talk_main.c"]
-    clean_answers("talk", files, tmp_path / "talk")
+    need_clean("talk", files, tmp_path / "talk")
 
 
 @pytest.mark.parametrize(("flags", "real_bytes"), [((), 8), (("-DTD_REAL_FLOAT",), 4)], ids=["double", "single"])

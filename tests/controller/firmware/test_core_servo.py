@@ -2,21 +2,18 @@
 
 import functools
 import subprocess
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from controller.firmware.build import CORE, FLAGS, STRICT, build, compiler, sources
+from controller.firmware.build import CORE, FLAGS, STRICT, compiler, sources
 from controller.firmware.core_device import REPLAY
 from controller.protocol.codes import EVENT_CODES, EVENTS
-from controller.protocol.image import image_of
-from controller.servo.interface import Fault, Notice, Readings, State
-from tests.benches.compiled import servo_of
+from controller.servo.interface import Fault, Notice
 from tests.benches.core_replay import EXCITE, NEGATIVE, Core, Recorder, write_runs
-from tests.benches.device import clean_answers
+from tests.benches.device import need_clean
 from tests.campaigns.parity_runs import random_run, tap_run
 from tests.campaigns.test_device_parity import COMMAND_A, DOUBLE, FLOAT, Difference, heat_differences_K
 from transopt.library.library import Library
@@ -144,54 +141,7 @@ def test_temperatures_agree_over_minutes() -> None:
     assert worst[FLOAT] <= 1e-3
 
 
-def damaged_images() -> Iterator[bytes]:
-    image = random_recorder(5).image
-    yield b""
-    yield image[:-1]
-    yield image + b"\0"
-    for place, byte in ((0, image[0] ^ 1), (4, 1), (6, 4), (8, 0), (8, 200), (10, 0), (12, image[12] + 1), (20, 1)):
-        yield image[:place] + bytes([byte]) + image[place + 1 :]
-
-
-def test_what_is_no_image_is_refused() -> None:
-    for image in damaged_images():
-        with pytest.raises(ValueError, match="refuses"):
-            Core(random_recorder(5).settings, image)
-
-
-def test_more_than_the_core_holds_is_refused() -> None:
-    recorder = random_recorder(5)
-    for change in ({"window_ticks": 257}, {"wall": Wall(1.0, 0.0, 1.0, 32, 100.0)}, {"rearm_s": 1e9}):
-        with pytest.raises(ValueError, match="refuses"):
-            Core(replace(recorder.settings, **change), recorder.image)  # type: ignore[arg-type]
-    long = replace(recorder.table, command_A=np.zeros((*recorder.table.command_A.shape[:2], 20_001)))
-    with pytest.raises(ValueError, match="refuses"):
-        Core(recorder.settings, image_of(long, 1e-4, 0.0, 10))
-
-
 def test_sanitizers_find_nothing_in_single_precision(played: list[Recorder], tmp_path: Path) -> None:
     """In double precision: the whole device in `test_core_device.py`."""
     write_runs(tmp_path / "runs", [recorder.run_bytes() for recorder in (*played, *map(random_recorder, SEEDS))])
-    clean_answers("replay", PROGRAM, tmp_path / "runs", FLOAT)
-
-
-def test_the_driver_refuses_what_is_no_run(tmp_path: Path) -> None:
-    (tmp_path / "runs").write_bytes(random_recorder(5).run_bytes()[:-1])
-    driver = build("replay", PROGRAM)
-    for path in (tmp_path / "runs", tmp_path / "nowhere"):
-        assert subprocess.run([str(driver), str(path)], capture_output=True, check=False, timeout=60).returncode == 1
-
-
-def test_a_fault_is_left_by_a_reset_once_its_cause_is_gone(library: Library) -> None:
-    servo, states = servo_of(library), []
-    for tick, (stopped, reset) in enumerate(
-        [(False, True), (True, False), (False, False), (True, True), (False, True)]
-    ):
-        if reset:
-            servo.reset()
-        servo.arm()
-        states.append(servo.step(Readings(tick, 500, 3.0, 0.0, 0.0, emergency_stop=stopped)).state)
-    assert states == [State.ARMED, State.FAULT, State.FAULT, State.FAULT, State.FAULT]
-    servo.reset()
-    servo.arm()
-    assert servo.step(Readings(5, 500, 3.0, 0.0, 0.0)).state is State.ARMED
+    need_clean("replay", PROGRAM, tmp_path / "runs", FLOAT)

@@ -50,18 +50,6 @@ def test_arm_is_refused_for_each_reason_in_turn() -> None:
     assert bench.refused(ARM) is Reason.FAULT_LATCHED
 
 
-def test_a_hot_coil_is_not_armed_and_a_new_configuration_does_not_cool_it() -> None:
-    bench = Talker()
-    hot = configuration_of(replace(SETTINGS, coil=COIL))
-    bench.configured(hot).loaded()
-    bench.device.heat(99.0, 70.0)
-    arm = replace(ARM, configuration_sha256=sha256(hot))
-    assert bench.refused(arm) is Reason.TOO_HOT
-    bench.configured(configuration_of(replace(SETTINGS, coil=COIL, grip_margin_N=0.2)))
-    look = bench.device.look()
-    assert (look.winding_C, look.housing_C) == pytest.approx((99.0, 70.0), abs=0.1)
-
-
 def test_a_repeated_request_is_answered_again_and_not_carried_out_again() -> None:
     bench = Talker().ready()
     bench.done(ARM)
@@ -149,6 +137,16 @@ def test_emergency_stop_without_configuration_latches() -> None:
     bench.step()
     bench.done(m.Reset())
     assert bench.step().state is State.IDLE
+
+
+def test_what_goes_wrong_beside_a_latched_fault_bars_the_reset() -> None:
+    bench = Talker().configured()
+    bench.step(1, replace(REST, emergency_stop=True))
+    bench.step(1, replace(REST, grip_N=100.0))
+    assert bench.device.look().fault is Fault.EMERGENCY_STOP
+    assert bench.refused(m.Reset()) is Reason.FAULT_REMAINS
+    bench.step()
+    bench.done(m.Reset())
 
 
 def test_commit_takes_nothing_half() -> None:

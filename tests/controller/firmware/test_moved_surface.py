@@ -1,6 +1,5 @@
 """A surface that the host moves while the device is armed: no wall and no contact that the stylus did not make."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,18 +10,9 @@ from controller.protocol.codes import REASONS, Reason
 from controller.protocol.configuration import configuration_of
 from controller.servo.interface import State
 from tests.benches.device import IMAGE, REST, SETTINGS, Talker
-from tests.benches.probed import ProbedDevice
-from tests.controller.firmware.test_attacks import HARDWARE, arm
+from tests.controller.firmware.conftest import Start
+from tests.controller.firmware.test_attacks import arm
 from transopt.plant.wall import Wall
-
-pytestmark = pytest.mark.usefixtures("c_compiler")
-
-Start = Callable[[], ProbedDevice]
-
-
-@pytest.fixture(params=[(), ("-DTD_REAL_FLOAT",)], ids=["double", "single"])
-def start(request: pytest.FixtureRequest) -> Start:
-    return lambda: ProbedDevice(9, HARDWARE, request.param, simulated=True)
 
 
 def over(start: Start, wall: Wall, ticks: int) -> Talker:

@@ -85,33 +85,33 @@ def test_a_circuit_with_converters_that_the_sketch_has_not_does_not_compile(tmp_
         assert words in done.stderr
 
 
-def build_sketch(folder: Path, by_dac: int, extra: tuple[str, ...] = ()) -> Path:
-    """The library by the C compiler, sketch and stub by C++, for this machine; `extra` for the sketch alone."""
+@pytest.fixture(scope="module")
+def core(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """Objects of the library, by the C compiler, for this machine."""
     if shutil.which("g++") is None:
         pytest.skip("g++: not found")
     try:
         cc = compiler().command
     except NoCompilerError as missing:
         pytest.skip(str(missing))
-    folder.mkdir(parents=True)
+    folder = tmp_path_factory.mktemp("core")
     defines = (ARDUINO, "-D__IMXRT1062__", "-fPIC", f"-I{SRC}")
     subprocess.run([*cc, *defines, "-c", *map(str, sources(SRC, CORE))], cwd=folder, check=True)
-    include = ("-fPIC", f"-I{STUB}", f"-I{SRC}", "-include", "Arduino.h", f"-DCOMMAND_BY_DAC={by_dac}")
-    subprocess.run(
-        ["g++", *CPP, "-DNOTHING_IS_WIRED=1", *include, *extra, "-x", "c++", "-c", str(SKETCH)],
-        cwd=folder,
-        check=True,
-    )
-    objects = sorted(map(str, folder.glob("*.o")))
-    made = folder / "sketch.so"
-    stub = [*CPP, "-fPIC", f"-I{STUB}", str(STUB / "stub.cpp")]
-    subprocess.run(["g++", "-shared", *stub, *objects, "-o", str(made)], cwd=folder, check=True)
-    return made
+    return sorted(map(str, folder.glob("*.o")))
 
 
 @pytest.fixture(scope="module", params=OUTPUTS, ids=["pwm", "dac"])
-def built(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return build_sketch(tmp_path_factory.mktemp("sketch") / "built", request.param)
+def built(request: pytest.FixtureRequest, core: list[str], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Sketch and stub by C++, linked with the library."""
+    folder = tmp_path_factory.mktemp("sketch")
+    include = ("-fPIC", f"-I{STUB}", f"-I{SRC}", "-include", "Arduino.h", f"-DCOMMAND_BY_DAC={request.param}")
+    sketch = ["g++", *CPP, "-DNOTHING_IS_WIRED=1", *include, "-x", "c++", "-c", str(SKETCH)]
+    subprocess.run(sketch, cwd=folder, check=True)
+    made = folder / "sketch.so"
+    stub = [*CPP, "-fPIC", f"-I{STUB}", str(STUB / "stub.cpp")]
+    objects = [*core, *map(str, folder.glob("*.o"))]
+    subprocess.run(["g++", "-shared", *stub, *objects, "-o", str(made)], cwd=folder, check=True)
+    return made
 
 
 class Teensy:

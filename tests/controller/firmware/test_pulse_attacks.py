@@ -1,8 +1,6 @@
 """Test pulses as a host would misuse them: too large for the hardware, without rest or lease, of nothing."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,32 +14,22 @@ from tests.benches.compiled import DT_S
 from tests.benches.device import IMAGE, Talker
 from tests.benches.probed import ProbedDevice
 from tests.benches.servo import AMPLIFIER
-from tests.controller.firmware.test_attacks import HARDWARE, PULSE_TICKS, WATCHED, Plant, evidence
-
-pytestmark = pytest.mark.usefixtures("c_compiler")
+from tests.controller.firmware.conftest import HARDWARE, Start
+from tests.controller.firmware.test_attacks import PULSE_TICKS, WATCHED, Plant, evidence
 
 REST_TICKS = round(REST_BETWEEN_PULSES_S / DT_S)
 PAIR_TICKS = 2 * (REST_TICKS + PULSE_TICKS + 1)
-Start = Callable[..., ProbedDevice]
-
-
-@pytest.fixture(params=[(), ("-DTD_REAL_FLOAT",)], ids=["double", "single"])
-def start(request: pytest.FixtureRequest) -> Start:
-    def started(**others: Any) -> ProbedDevice:
-        return ProbedDevice(9, HARDWARE, request.param, **{"simulated": False, **others})
-
-    return started
 
 
 def ready(start: Start, settings: Settings = WATCHED, **wrong: float) -> Plant:
-    talker = Talker(start())
+    talker = Talker(start(simulated=False))
     talker.configured(configuration_of(settings))
     return Plant(talker, **wrong).step(200)
 
 
 @pytest.mark.parametrize("pairs", [0, 1])
-def test_a_host_that_asks_for_pulses_in_every_tick_gets_rests_between_them(start: Start, pairs: int) -> None:
-    plant = ready(start)
+def test_a_host_that_asks_for_pulses_in_every_tick_gets_rests_between_them(single: Start, pairs: int) -> None:
+    plant = ready(single)
     flowing = []
     for tick in range(4 * PAIR_TICKS):
         if tick % 50 == 0:
@@ -58,9 +46,9 @@ def test_a_host_that_asks_for_pulses_in_every_tick_gets_rests_between_them(start
 
 
 @pytest.mark.parametrize("pairs", [0, 3])
-def test_pulses_end_with_the_lease_though_the_host_goes_on_talking(start: Start, pairs: int) -> None:
+def test_pulses_end_with_the_lease_though_the_host_goes_on_talking(single: Start, pairs: int) -> None:
     """Other frames keep the line, not the lease."""
-    plant = ready(start)
+    plant = ready(single)
     talker, lease_ticks = plant.talker, round(1e-3 * PULSE_LEASE_MS / DT_S)
     plant.leases = False
     commands, told = [], []
@@ -95,8 +83,8 @@ def test_a_single_pulse_of_a_host_that_has_gone_ends_with_its_lease(start: Start
 @pytest.mark.parametrize(
     "wrong", [{"amplifier": 8.0}, {"amplifier": -1.0}, {"monitor": 0.0}, {"accelerometer": -1.0}], ids=str
 )
-def test_after_the_first_wrong_pulse_no_other_follows(start: Start, wrong: dict[str, float]) -> None:
-    plant = ready(start, **wrong)
+def test_after_the_first_wrong_pulse_no_other_follows(single: Start, wrong: dict[str, float]) -> None:
+    plant = ready(single, **wrong)
     plant.talker.done(m.Pulse(WATCHED.pulse_A, PULSE_TICKS, 8))
     pulsed = 0
     for _ in range(3 * PAIR_TICKS):
@@ -119,18 +107,18 @@ def test_a_sound_device_ends_all_its_pulses(start: Start) -> None:
 
 
 @pytest.mark.parametrize("size_A", [1e-12, 1e-6, 0.9 * PULSE_LEAST_PART * 0.1])
-def test_pulses_of_next_to_nothing_prove_nothing(start: Start, size_A: float) -> None:
-    plant = ready(start, replace(WATCHED, pulse_A=size_A))
+def test_pulses_of_next_to_nothing_prove_nothing(single: Start, size_A: float) -> None:
+    plant = ready(single, replace(WATCHED, pulse_A=size_A))
     assert plant.talker.refused(m.Pulse(size_A, PULSE_TICKS, 3)) is Reason.BAD_VALUE
     assert evidence(plant.talker).bits == 0
 
 
 @pytest.mark.parametrize("scale", ["amplifier_scale", "monitor_scale"])
-def test_a_scale_makes_no_large_pulse_of_a_small_one(start: Start, scale: str) -> None:
+def test_a_scale_makes_no_large_pulse_of_a_small_one(single: Start, scale: str) -> None:
     """A stated scale of five says that 0.03 A flow where 6 mA are asked for or read: less than what proves."""
     weak = {"amplifier": 0.2} if scale == "amplifier_scale" else {"monitor": 0.2}
     settings = replace(WATCHED, pulse_A=0.03, **{scale: 5.0})
-    plant = ready(start, settings, **weak)
+    plant = ready(single, settings, **weak)
     assert plant.talker.refused(m.Pulse(0.03, PULSE_TICKS, 3)) is Reason.BAD_VALUE
 
 
@@ -147,14 +135,14 @@ LIMITS = {
 
 @pytest.mark.parametrize("kind", LIMITS)
 @pytest.mark.parametrize("sign", [1, -1])
-def test_limits_are_asked_in_the_hardwares_units(start: Start, kind: str, sign: int) -> None:
+def test_limits_are_asked_in_the_hardwares_units(single: Start, kind: str, sign: int) -> None:
     """What is stated is within the hardware's limit; what the stated scale makes of it is or is not."""
     change, scale, least = LIMITS[kind]
     tight = {"amplifier": replace(AMPLIFIER, command_limit=0.5), **change}
     if kind == "current":
         tight["amplifier"] = replace(AMPLIFIER, command_limit=4.0)
     for part, wanted in ((1.02, m.Done), (0.98, m.Refused), (5.0, m.Done)):
-        talker = Talker(start())
+        talker = Talker(single(simulated=False))
         stated = replace(WATCHED, **tight, **{scale: sign * min(least * part, 5.0)})  # type: ignore[arg-type]
         answer = talker.configure(configuration_of(stated))
         assert isinstance(answer, wanted), (part, answer)

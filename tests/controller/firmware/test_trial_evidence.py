@@ -1,9 +1,7 @@
 """What a trial tap proves: encoder and accelerometer tell of one motion, and a tap ran to its end."""
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import pytest
 
@@ -14,22 +12,11 @@ from controller.servo.interface import Fault, Output, Readings, State
 from controller.servo.settings import Settings
 from tests.benches.compiled import DT_S, smooth_bank
 from tests.benches.device import IMAGE, SETTINGS, Talker
-from tests.benches.probed import ProbedDevice
-from tests.controller.firmware.test_attacks import HARDWARE, WATCHED, Plant, arm, evidence, pulsed, pulses
+from tests.controller.firmware.conftest import Start
+from tests.controller.firmware.test_attacks import WATCHED, Plant, arm, evidence, pulsed, pulses
 from transopt.plant.wall import Wall
 
-pytestmark = pytest.mark.usefixtures("c_compiler")
-
 BLIND = replace(WATCHED, has_accelerometer=False)  # a device without accelerometer
-Start = Callable[..., ProbedDevice]
-
-
-@pytest.fixture(params=[(), ("-DTD_REAL_FLOAT",)], ids=["double", "single"])
-def start(request: pytest.FixtureRequest) -> Start:
-    def started(**others: Any) -> ProbedDevice:
-        return ProbedDevice(9, HARDWARE, request.param, **others)
-
-    return started
 
 
 class Hand:
@@ -129,8 +116,8 @@ def test_without_an_accelerometer_the_path_is_the_proof_of_the_pulse_and_the_end
 
 
 @pytest.mark.parametrize("encoder", [0.3, 3.0, -1.0, 0.0])
-def test_without_an_accelerometer_a_path_that_is_wrong_proves_nothing(start: Start, encoder: float) -> None:
-    talker = Talker(start(simulated=False))
+def test_without_an_accelerometer_a_path_that_is_wrong_proves_nothing(single: Start, encoder: float) -> None:
+    talker = Talker(single(simulated=False))
     assert pulsed(talker, Plant(talker, encoder=encoder), BLIND).bits == 0
 
 
@@ -139,8 +126,8 @@ def test_without_an_accelerometer_a_path_that_is_wrong_proves_nothing(start: Sta
     [{"encoder": 1.4}, {"encoder": 0.6}, {"accelerometer": 2.0}, {"accelerometer": 0.6}, {"accelerometer": -1.0}],
     ids=str,
 )
-def test_sensors_that_disagree_prove_nothing(start: Start, wrong: dict[str, float]) -> None:
-    talker = ready(start)
+def test_sensors_that_disagree_prove_nothing(single: Start, wrong: dict[str, float]) -> None:
+    talker = ready(single)
     found = tried(talker, Hand(talker, **wrong))
     assert (found.bits, found.stage) == (m.PULSE_SOUND, Stage.TRIED)
     ((name, k),) = wrong.items()
@@ -164,10 +151,10 @@ def test_a_trial_too_quiet_to_be_felt_proves_nothing(start: Start) -> None:
 
 @pytest.mark.parametrize(("gain", "bits"), [(0.04, 0), (0.06, m.TRIAL_FINISHED)])
 def test_a_trial_below_half_its_gain_proves_nothing_though_its_current_flows(
-    start: Start, gain: float, bits: int
+    single: Start, gain: float, bits: int
 ) -> None:
     """The most current of a strong library is measured even at a gain of 0.04."""
-    talker = ready(start)
+    talker = ready(single)
     assert tried(talker, Hand(talker), image=quiet_image(3.9), gain=gain).bits == m.PULSE_SOUND | bits
 
 
@@ -190,9 +177,9 @@ def quiet_image(peak_A: float) -> bytes:
 
 
 @pytest.mark.parametrize("peak_A", [1e-12, 1e-6, 1e-2])
-def test_a_trial_of_silence_proves_nothing(start: Start, peak_A: float) -> None:
+def test_a_trial_of_silence_proves_nothing(single: Start, peak_A: float) -> None:
     """At a tenth of the gain 10 mA are 1 mA, of a hardware of 4.5 A."""
-    talker, image = ready(start), quiet_image(peak_A)
+    talker, image = ready(single), quiet_image(peak_A)
     hand = Hand(talker)
     found = tried(talker, hand, image=image)
     assert (found.bits, found.stage) == (m.PULSE_SOUND, Stage.TRIED)
@@ -203,8 +190,8 @@ def test_a_trial_of_silence_proves_nothing(start: Start, peak_A: float) -> None:
 
 
 @pytest.mark.parametrize("monitor", [0.0, 0.5, 2.0, -1.0])
-def test_a_trial_whose_current_is_not_measured_proves_nothing(start: Start, monitor: float) -> None:
-    talker = ready(start)
+def test_a_trial_whose_current_is_not_measured_proves_nothing(single: Start, monitor: float) -> None:
+    talker = ready(single)
     assert tried(talker, Hand(talker, monitor=monitor)).bits == m.PULSE_SOUND
 
 
@@ -256,8 +243,8 @@ def checked(start: Start, settings: Settings = WATCHED) -> Talker:
 
 
 @pytest.mark.parametrize("fault", [*OF_CABLES, *OF_OTHERS], ids=lambda fault: fault.name)
-def test_a_fault_at_a_cable_takes_the_evidence_and_the_check_brings_it_back(start: Start, fault: Fault) -> None:
-    talker = checked(start)
+def test_a_fault_at_a_cable_takes_the_evidence_and_the_check_brings_it_back(single: Start, fault: Fault) -> None:
+    talker = checked(single)
     talker.step(30, {**OF_CABLES, **OF_OTHERS}[fault])
     assert talker.device.look().fault is fault
     talker.step(500, STILL)
@@ -322,10 +309,10 @@ def test_a_motion_too_small_to_compare_the_sensors_is_no_agreement(start: Start)
 
 
 @pytest.mark.parametrize(("scale", "bits"), [(5.0, 0), (1.0, m.TRIAL_FINISHED)])
-def test_a_trial_is_as_large_as_its_current_is_in_the_hardwares_units(start: Start, scale: float, bits: int) -> None:
+def test_a_trial_is_as_large_as_its_current_is_in_the_hardwares_units(single: Start, scale: float, bits: int) -> None:
     """A host that states an amplifier of five times its gain makes 5 mA of 1 mA, of a hardware of 4.5 A."""
     settings = replace(WATCHED, amplifier_scale=scale, monitor_scale=scale)
-    talker = Talker(start(simulated=False))
+    talker = Talker(single(simulated=False))
     plant = Plant(talker, amplifier=scale, monitor=1 / scale)
     assert pulsed(talker, plant, settings).bits == m.PULSE_SOUND
     assert tried(talker, Hand(talker), settings, quiet_image(0.05)).bits == m.PULSE_SOUND | bits

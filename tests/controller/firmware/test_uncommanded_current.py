@@ -1,7 +1,6 @@
 """A current that nobody commanded heats the hardware's own guard, over a restart too, and is a fault."""
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -17,22 +16,11 @@ from controller.servo.rules import FEWEST_TICKS, WRONG_CURRENT_S
 from tests.benches.compiled import DT_S
 from tests.benches.device import ARM, REST, REST_TICKS, SETTINGS, Talker
 from tests.benches.probed import ProbedDevice
-from tests.controller.firmware.test_attacks import COIL, HARDWARE, REST_PULSE_TICKS
+from tests.controller.firmware.conftest import COIL, HARDWARE, Start
+from tests.controller.firmware.test_attacks import REST_PULSE_TICKS
 from transopt.plant.wall import Wall
 
-pytestmark = pytest.mark.usefixtures("c_compiler")
-
 HEAT_TICKS, UPDATES = 10_000, 100
-
-Start = Callable[..., ProbedDevice]
-
-
-@pytest.fixture(params=[(), ("-DTD_REAL_FLOAT",)], ids=["double", "single"])
-def start(request: pytest.FixtureRequest) -> Start:
-    def started(heat_C: tuple[float, float] | None = (30.0, 30.0)) -> ProbedDevice:
-        return ProbedDevice(9, HARDWARE, request.param, simulated=True, heat_C=heat_C)
-
-    return started
 
 
 def heated_C(current_A: float) -> tuple[float, float]:
@@ -48,8 +36,8 @@ def heated_C(current_A: float) -> tuple[float, float]:
     ("measured_A", "flows_A"),
     [(5.9, 5.9), (6.1, 6.1), (-9.0, 9.0), (math.nan, HARDWARE.over_current_A), (math.inf, HARDWARE.over_current_A)],
 )
-def test_the_hardwares_guard_counts_whatever_is_measured(start: Start, measured_A: float, flows_A: float) -> None:
-    talker = Talker(start())
+def test_the_hardwares_guard_counts_whatever_is_measured(single: Start, measured_A: float, flows_A: float) -> None:
+    talker = Talker(single(heat_C=(30.0, 30.0)))
     talker.step(HEAT_TICKS, replace(REST, current_A=measured_A))
     assert talker.device.coil_C() == pytest.approx(heated_C(flows_A), abs=0.5)
 
@@ -60,8 +48,8 @@ def test_a_restart_cools_no_coil(start: Start) -> None:
 
 
 @pytest.mark.parametrize("kept_C", [1001.0, -41.0, -math.inf, math.nan])
-def test_what_no_guard_keeps_is_as_hot_as_may_be(start: Start, kept_C: float) -> None:
-    assert start(heat_C=(kept_C, kept_C)).coil_C() == pytest.approx(start(heat_C=None).coil_C())
+def test_what_no_guard_keeps_is_as_hot_as_may_be(single: Start, kept_C: float) -> None:
+    assert single(heat_C=(kept_C, kept_C)).coil_C() == pytest.approx(single(heat_C=None).coil_C())
 
 
 def resting(device: ProbedDevice) -> Talker:
@@ -70,8 +58,10 @@ def resting(device: ProbedDevice) -> Talker:
 
 @pytest.mark.parametrize("armed", [False, True], ids=["idle", "armed"])
 @pytest.mark.parametrize("flows_A", [4.9, -4.9, 0.5])
-def test_a_current_that_nobody_commanded_is_a_fault_in_every_state(start: Start, flows_A: float, armed: bool) -> None:
-    talker = resting(start())
+def test_a_current_that_nobody_commanded_is_a_fault_in_every_state(
+    single: Start, flows_A: float, armed: bool
+) -> None:
+    talker = resting(single())
     if armed:
         talker.done(ARM)
     flowing = replace(REST, current_A=flows_A)
@@ -89,17 +79,17 @@ def test_a_current_that_nobody_commanded_is_a_fault_in_every_state(start: Start,
 
 
 @pytest.mark.parametrize("offset_A", [0.29, -0.29])
-def test_a_monitor_with_an_honest_offset_is_no_fault(start: Start, offset_A: float) -> None:
-    talker = resting(start())
+def test_a_monitor_with_an_honest_offset_is_no_fault(single: Start, offset_A: float) -> None:
+    talker = resting(single())
     talker.done(ARM)
     talker.step(1000, replace(REST, current_A=offset_A))
     assert talker.device.state is State.ARMED
 
 
 @pytest.mark.parametrize("request_", [ARM, m.Pulse(0.1, 20, 0)], ids=["arm", "pulse"])
-def test_nothing_is_powered_while_a_current_flows(start: Start, request_: Packed) -> None:
+def test_nothing_is_powered_while_a_current_flows(single: Start, request_: Packed) -> None:
     """Refused before it is a fault, with what flows, and granted once it is gone."""
-    talker = resting(start())
+    talker = resting(single())
     # One reading may be noise.
     talker.step(FEWEST_TICKS - 1, replace(REST, current_A=2.0))
     talker.step(1)
