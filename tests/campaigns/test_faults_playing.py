@@ -315,10 +315,7 @@ def test_a_sound_device_plays_to_its_end(library: Library, c_compiler: None) -> 
     assert (seen.fault, seen.finished) == (None, True)
 
 
-@pytest.mark.parametrize("stiffness_N_m", [300.0, 2000.0])
-def test_a_sound_device_is_held_in_a_wall_by_a_hand_that_tilts(
-    library: Library, c_compiler: None, stiffness_N_m: float
-) -> None:
+def test_a_sound_device_is_held_in_a_wall_by_a_hand_that_tilts(library: Library, c_compiler: None) -> None:
     world = sound_world(np.random.default_rng(1), "", -1, 3.0, 0)
-    wall = Wall(stiffness_N_m, 1.0, 1.25, 1, 500.0)
+    wall = Wall(2000.0, 1.0, 1.25, 1, 500.0)
     assert pressed(given_of(library), world, wall, tilt_m_s2=3.0) is None

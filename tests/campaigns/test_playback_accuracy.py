@@ -186,9 +186,9 @@ def main(
 test_long_form = long_form(main)
 
 
-@pytest.mark.parametrize(("iv", "ig"), [(0, 2), (1, 1), (2, 0), (3, 2)])
+@pytest.mark.parametrize(("iv", "ig"), [(1, 1), (3, 2)])
 def test_a_node_is_on_time_and_as_predicted(library: Library, c_compiler: None, iv: int, ig: int) -> None:
-    node = at_node(library, iv, ig, np.array([0.0, 0.3, 0.65]), seeds=1)
+    node = at_node(library, iv, ig, np.array([0.0, 0.65]), seeds=1)
     assert node.latency_rms_s <= MOST_LATENCY_S
     assert node.playback_error <= MOST_ERROR
     assert node.tap_error <= library.tap_error[iv, ig] + MOST_ERROR
@@ -196,7 +196,7 @@ def test_a_node_is_on_time_and_as_predicted(library: Library, c_compiler: None, 
 
 
 def test_between_the_nodes_only_interpolation_is_added(library: Library, c_compiler: None) -> None:
-    points = [between(library, float(v), float(F), seed) for seed, (v, F) in enumerate(inside(library, 4))]
+    points = [between(library, float(v), float(F), seed) for seed, (v, F) in enumerate(inside(library, 3))]
     late = np.array([p.latency_s for p in points])
     assert np.sqrt(np.mean(late**2)) <= MOST_LATENCY_S
     for p in points:
@@ -204,11 +204,9 @@ def test_between_the_nodes_only_interpolation_is_added(library: Library, c_compi
         assert p.blend_error <= p.interpolation + MOST_ERROR, p
 
 
-@pytest.mark.parametrize("mismatch", [0.1, 0.2])
-def test_a_mismatched_amplifier_stays_within_the_limit_it_was_told_of(
-    library: Library, c_compiler: None, mismatch: float
-) -> None:
+def test_a_mismatched_amplifier_stays_within_the_limit_it_was_told_of(library: Library, c_compiler: None) -> None:
     """Seed 3 draws a faster pole: without the tolerance its current passes the limit."""
+    mismatch = 0.2
     tap = SimulatedTap(0.4, 5.0, seed=3, imperfections=Imperfections(mismatch=mismatch, crossover_A=0.0))
     servos = servo_of(library), servo_of(library, amplifier_tolerance=mismatch)
     peaks = [play_tap(library, servo, tap).peak_current_A for servo in servos]
