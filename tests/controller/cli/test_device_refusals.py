@@ -1,23 +1,14 @@
 """`transopt-play` on a device: what it says of ports, devices and options that will not do."""
 
-from pathlib import Path
-
 import pytest
 
 from controller.cli import port as port_commands
-from controller.host.payload import payload
 from controller.host.transport import Listed
-from controller.protocol import messages
 from controller.protocol.capacity import Hardware
-from controller.protocol.image import sha256
 from tests.benches.commands import Run, assert_refused
 from tests.benches.desk import PORT, Desk
-from tests.benches.device import reframed, started
-from tests.controller.host.test_driver import Served, served
+from tests.benches.device import reframed
 from transopt.library.library import Library
-
-__all__ = ["served"]  # a fixture
-LOOKS = 50  # at a device that may be waiting for a processor
 
 
 def test_a_library_that_does_not_fit(play: Run, library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -55,49 +46,11 @@ def test_another_library_meanwhile(play: Run, ready: Desk, monkeypatch: pytest.M
     )
 
 
-def test_nobody_answers(play: Run, desk: Desk) -> None:
-    desk.link.unplug()
-    assert_refused(play("monitor", *PORT), "nothing answers on this port: is the device powered")
-
-
-def test_not_our_device_and_another_version(play: Run, desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(desk.link.to_host, "arrived", lambda now_s: b"$GPGGA,1*00\r\n")
-    assert_refused(play("monitor", *PORT), "not our device: it sends, but not this protocol")
-    monkeypatch.undo()
-    desk.put(monkeypatch)
-    greeting = messages.GREETING.pack
-    ours, theirs = (greeting(messages.MAGIC, messages.PROTOCOL + other) for other in (0, 1))
-    say = desk.end.bytes_to_send
-    monkeypatch.setattr(desk.end, "bytes_to_send", lambda: reframed(say(), lambda said: said.replace(ours, theirs)))
-    assert_refused(
-        play("monitor", *PORT),
-        "the device speaks another version of the protocol",
-        f"it speaks {messages.PROTOCOL + 1}, the host {messages.PROTOCOL}",
-    )
-
-
 def test_no_such_port(play: Run) -> None:
     for command in (("monitor",), ("check",), ("upload", "library.npz"), ("tap", "library.npz")):
         assert_refused(play(*command, "--port", "/dev/no-such-port"), "/dev/no-such-port: no such port; there ")
     outcome = play("record", "tap", "--port", "/dev/no-such-port", "--out", "x")
     assert_refused(outcome, "/dev/no-such-port: no such port; there ")
-
-
-@pytest.mark.parametrize(
-    ("error", "words"),
-    [
-        (PermissionError(13, "Permission denied"), "no permission: add yourself to the group dialout"),
-        (BlockingIOError(11, "Resource temporarily unavailable"), "busy: another program has it open"),
-    ],
-)
-def test_a_port_that_may_not_be_opened(
-    play: Run, monkeypatch: pytest.MonkeyPatch, error: OSError, words: str
-) -> None:
-    def refused(*_: object, **__: object) -> None:
-        raise error
-
-    monkeypatch.setattr("controller.host.transport.serial.serial_for_url", refused)
-    assert_refused(play("monitor", "--port", "/dev/ttyACM0"), f"/dev/ttyACM0: {words}")
 
 
 def test_ports(play: Run, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -107,19 +60,3 @@ def test_ports(play: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     assert play("ports").out.splitlines() == ["/dev/ttyACM0  Teensy", "COM3"]
     monkeypatch.setattr("controller.host.transport.listed_ports", list)
     assert "no serial port" in play("ports").out
-
-
-def test_over_a_pseudo_terminal(play: Run, served: tuple[Served, str]) -> None:
-    """The whole way once: pyserial, its thread, the kernel; what comes back is what went there."""
-    server, name = served
-    server.device = started(7, simulated=False)
-    assert play("upload", "library.npz", "--port", name).code == 0
-    assert server.device.look().library_sha256 == sha256(payload(Path("library.npz")).image)
-    for _ in range(LOOKS):
-        outcome = play("monitor", "--port", name, "--for", 0.2)
-        assert outcome.code == 0
-        if "+4.90 mm" in outcome.out:
-            break
-    else:
-        pytest.fail(f"no position in any of {LOOKS} looks")
-    assert_refused(play("tap", "library.npz", "--port", name), f"{name}: arm refused: no sound test pulse")

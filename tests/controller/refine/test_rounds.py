@@ -10,7 +10,6 @@ import pytest
 from scipy import signal
 
 import transopt as to
-from controller.record.played import before_pole, through_pole
 from controller.refine.figure import refine_figure
 from controller.refine.heard import Heard, Node, fade_of, node_near, nodes_of, smooth
 from controller.refine.kept import history_of, in_meta, is_learning
@@ -131,13 +130,6 @@ class TestLearning:
         assert nrmse(device(r + d), r) < 0.02
         assert nrmse(device(r), r) > 0.2
 
-    def test_pole_and_back(self) -> None:
-        values = np.random.default_rng(2).standard_normal(300)
-        for bandwidth in (50.0, 2500.0, 1e5):
-            np.testing.assert_allclose(
-                before_pole(through_pole(values, DT, bandwidth), DT, bandwidth), values, atol=1e-9
-            )
-
     def test_which_node_a_tap_counts_for(self, library: Library) -> None:
         assert node_near(library, 0.21, 3.2) == (1, 1)
         assert node_near(library, 0.26, 5.4) == (2, 2)
@@ -205,10 +197,6 @@ class TestResolve:
         wrong[0, 0] *= 0.9
         shortfalls = verify_library(replace(refined, correction_m_s2=wrong))[0].shortfalls
         assert any("gap" in text or "target" in text for text in shortfalls), shortfalls
-
-    def test_a_library_as_solved_has_no_such_array(self, small: Library) -> None:
-        assert "correction_m_s2" not in small.arrays()
-        assert not small.correction_m_s2.any()
 
     def test_a_wall_is_refused(self, small: Library) -> None:
         walled = under(small, {"feedback.stiffness_N_m": 200.0})

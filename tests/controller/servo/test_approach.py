@@ -1,7 +1,5 @@
 """Incoming speed and contact time from encoder counts; when a transient may start."""
 
-import math
-
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
@@ -59,17 +57,6 @@ def test_a_tap_from_rest_is_foreseen_and_played(course: str, count_m: float) -> 
     assert from_rest.rms_us(errors_s) < 30
 
 
-@pytest.mark.parametrize(("dt_s", "count_m"), [(1e-3, 1e-4), (1e-3, 1e-6), (5e-5, 1e-4), (5e-5, 1e-6)])
-def test_slow_and_fast_servos_with_coarse_and_fine_encoders_foresee_a_tap(dt_s: float, count_m: float) -> None:
-    """To two thirds of a tick, or to two counts, whichever is more: three ticks ahead errors of ten readings grow."""
-    servo = Settings(
-        dt_s, 3 * dt_s, 4.0, count_m=count_m, window_ticks=round(10e-3 / dt_s), touch_height_m=4 * count_m
-    )
-    errors_s, unplayed = from_rest.of_steady(0.2, servo, 40, np.random.default_rng(5))
-    assert unplayed == 0
-    assert from_rest.rms_us(errors_s) < 1e6 * max(2 * dt_s / 3, 2 * count_m / 0.2)
-
-
 def test_restart_forgets_and_a_short_history_never_contacts() -> None:
     fit, fresh = _approach(), _approach()
     for k in range(250):
@@ -83,9 +70,9 @@ def test_restart_forgets_and_a_short_history_never_contacts() -> None:
 
 
 def _errors(speed_m_s: float, hand_m_s2: float, rng: np.random.Generator) -> FloatArray:
-    """(300, 2) relative error of the speed and error of the contact time [s], when the waveform would start."""
+    """(100, 2) relative error of the speed and error of the contact time [s], when the waveform would start."""
     found = []
-    for _ in range(300):
+    for _ in range(100):
         fit = _approach()
         t = (np.arange(-WINDOW - 60, 2) + rng.uniform()) * DT_S
         acceleration = hand_m_s2 * rng.choice([-1, 1])
@@ -95,7 +82,7 @@ def _errors(speed_m_s: float, hand_m_s2: float, rng: np.random.Generator) -> Flo
             if fit.phase > -1:
                 found.append((fit.speed_m_s / speed_m_s - 1, time_s - fit.phase * DT_S + LEAD_S))
                 break
-    assert len(found) == 300
+    assert len(found) == 100
     return np.array(found)
 
 
@@ -136,14 +123,6 @@ def test_one_contact_per_tap_and_a_rebound_is_chatter() -> None:
     assert answers.count(Touch.CHATTER) == 1
     again = np.concatenate([fall, bounce, np.linspace(bounce[-1], 4e-3, 100), 4e-3 - 0.1 * t[:500]])
     assert _touches(again).count(Touch.CONTACT) == 2
-
-
-def test_the_contact_comes_in_the_tick_that_holds_the_first_command() -> None:
-    for offset in np.linspace(0.05, 0.95, 10):
-        z = 0.3 * DT_S * (200 + offset - np.arange(260))
-        k = _touches(z).index(Touch.CONTACT) + 1
-        # c_0 is due 3 ticks before contact, at 197 + offset.
-        assert k == math.floor(197 + offset)
 
 
 def test_creeping_and_hovering_play_nothing() -> None:

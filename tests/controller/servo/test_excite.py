@@ -1,6 +1,5 @@
 """What plays at the host's word: when it may start, what ends it, and that nothing else is as it was not in a tap."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,11 +9,10 @@ from controller.protocol import messages as m
 from controller.protocol.codes import EVENT_CODES, REASONS, LinkNotice, Reason
 from controller.protocol.configuration import configuration_of
 from controller.protocol.image import image_of, sha256
-from controller.servo.interface import Fault, Notice, Output, State
+from controller.servo.interface import Notice, Output, State
 from controller.servo.settings import Settings
 from controller.waveforms.bank import Bank, Method
 from tests.benches.device import Talker
-from tests.benches.oracle.blend import blend_at
 from tests.benches.servo import AMPLIFIER, DT_S, WALL
 from tests.benches.servo import Bench as ServoBench
 from transopt.base.errors import InputError
@@ -59,80 +57,6 @@ def test_it_plays_the_waveform_from_the_next_tick_on_to_its_end(bench: ServoBenc
     assert bench.outputs[15 + SAMPLES].events[0].what is Notice.FINISHED
 
 
-def test_the_other_sign_is_the_negative_to_the_last_bit(bench: ServoBench) -> None:
-    bench.servo.set_gain(0.3)
-    bench.run(2000)
-    assert bench.servo.excite(negative=True)
-    bench.run(SAMPLES)
-    np.testing.assert_array_equal(bench.commands()[-SAMPLES:], -(0.3 * bench.servo.bank.command_A[0, 0]))
-
-
-def test_only_while_armed_where_the_host_starts_and_one_at_a_time() -> None:
-    bench = ServoBench(SETTINGS, excitation(), still)
-    assert not bench.servo.excite()
-    bench.servo.arm()
-    assert bench.servo.excite()
-    assert not bench.servo.excite()
-    by_contact = ServoBench(replace(SETTINGS, host_starts=False), excitation(), still)
-    by_contact.servo.arm()
-    assert not by_contact.servo.excite()
-    assert by_contact.servo.state is State.ARMED
-
-
-def test_contacts_are_not_looked_at() -> None:
-    """A tap, armed, where the same settings without the host's word play."""
-    for host_starts in (True, False):
-        bench = ServoBench(replace(SETTINGS, host_starts=host_starts), excitation())
-        bench.run(5).servo.arm()
-        bench.run(1500)
-        assert (Notice.CONTACT in bench.events()) is not host_starts
-        assert bool(np.any(bench.commands())) is not host_starts
-
-
-def test_the_range_of_current_holds(bench: ServoBench) -> None:
-    """Whatever was uploaded: an image that would pass it is refused, and the clamp has the last word."""
-    bench = ServoBench(SETTINGS, excitation(peak_A=3.0), still)
-    bench.servo.arm()
-    assert bench.servo.excite()
-    for _ in range(SAMPLES):
-        bench.step()
-        assert abs(bench.current_A) <= SETTINGS.current_limit_A + 1e-12
-    assert Notice.COMMAND_SATURATED in bench.events()
-
-
-@pytest.mark.parametrize(
-    ("change", "fault"),
-    [
-        ({"emergency_stop": True}, Fault.EMERGENCY_STOP),
-        ({"current_A": math.nan}, Fault.BAD_SENSOR),
-        ({"current_A": 2.0}, Fault.OVER_CURRENT),
-        ({"encoder_counts": 5000}, Fault.ENCODER_JUMP),
-        ({"grip_N": math.nan}, Fault.GRIP_OPEN),
-        ({"grip_N": 0.4}, Fault.GRIP_LOST),
-    ],
-)
-def test_a_fault_ends_it_in_its_own_tick(bench: ServoBench, change: dict[str, float], fault: Fault) -> None:
-    bench.servo.excite()
-    bench.run(100)
-    bench.change = change
-    output = bench.step()
-    assert (output.state, output.command_A) == (State.FAULT, 0.0)
-    assert output.events[0].what is fault
-    bench.change = {}
-    assert not np.any([bench.step().command_A for _ in range(SAMPLES)])
-
-
-def test_no_current_is_told() -> None:
-    slow = excitation()
-    slow.command_A[..., :-1] = 0.7
-    bench = ServoBench(SETTINGS, slow, still)
-    bench.servo.arm()
-    bench.servo.excite()
-    bench.change = {"current_A": 0.0}
-    bench.run(SAMPLES)
-    assert Fault.NO_CURRENT in bench.events()
-
-
 def test_the_free_device_is_excited_and_may_be_taken_hold_of(bench: ServoBench) -> None:
     """Who lets go of what he held ends it; whoever did not hold it cannot."""
     bench.grip_N = 0.0
@@ -144,17 +68,6 @@ def test_the_free_device_is_excited_and_may_be_taken_hold_of(bench: ServoBench) 
     bench.grip_N = 0.0
     bench.run(SAMPLES)
     assert bench.events() == [Notice.FINISHED]
-
-
-def test_the_heat_allows_all_of_it_or_none() -> None:
-    """A tap would be scaled there."""
-    hot = replace(COIL, start_winding_C=94.999, start_housing_C=94.999)
-    bench = ServoBench(replace(SETTINGS, coil=hot), excitation(), still)
-    bench.servo.arm()
-    guard, play = bench.servo.guard, blend_at(bench.servo.bank, 1.0, 0.0)
-    assert 0.0 < guard.scale(play.transient_A, 0.0, SAMPLES + 1) < 1.0
-    assert not bench.servo.excite()
-    assert bench.servo.state is State.ARMED
 
 
 def test_no_wall_beside_it() -> None:

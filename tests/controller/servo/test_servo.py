@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from controller.servo.interface import Notice, Readings, State
 from controller.servo.settings import Settings
 from controller.waveforms.bank import Bank, Method, bank
-from tests.benches.oracle.blend import blend_at
 from tests.benches.oracle.servo import Servo
 from tests.benches.servo import AMPLIFIER, CONTACT, COUNT_M, DECAY, DT_S, WALL, Bench, tap_m
 from transopt.base.errors import InputError
@@ -37,8 +36,7 @@ def test_a_tap_runs_through_the_states(bench: Bench) -> None:
     assert bench.servo.state is State.IDLE
 
 
-@pytest.mark.parametrize("part", [0.0, 0.13, 0.5, 0.92])
-@pytest.mark.parametrize("speed_m_s", [0.1, 0.2, 0.37])
+@pytest.mark.parametrize(("part", "speed_m_s"), [(0.0, 0.1), (0.13, 0.37), (0.92, 0.2)])
 def test_phase_is_exact_resampling_of_the_held_commands(
     stated: Settings, tables: Bank, part: float, speed_m_s: float
 ) -> None:
@@ -63,21 +61,7 @@ def test_phase_is_exact_resampling_of_the_held_commands(
     np.testing.assert_allclose(bench.commands(), wanted, atol=1e-9)
 
 
-@pytest.mark.parametrize("phase", [-0.999, -0.5, 0.0, 0.25, 2.75])
-def test_blending_is_linear_between_neighbours(stated: Settings, tables: Bank, phase: float) -> None:
-    servo = Servo(stated, tables)
-    samples = blend_at(tables, 0.2, 3.0).samples_A
-    servo.scale = 1.0
-    servo._start(samples, phase)
-    values, ended = [], False
-    while not ended:
-        value, ended = servo._next_sample()
-        values.append(value)
-    wanted = np.interp(phase + np.arange(len(values)), np.arange(-1, 801), [0.0, *samples, 0.0])
-    np.testing.assert_allclose(values, wanted, atol=1e-12)
-
-
-@pytest.mark.parametrize("latency_ticks", [0, 1, 3])
+@pytest.mark.parametrize("latency_ticks", [0, 3])
 def test_feedback_is_the_walls_law(stated: Settings, library: Library, latency_ticks: int) -> None:
     wall = replace(WALL, latency_ticks=latency_ticks)
     bench = Bench(replace(stated, wall=wall), bank(library, Method.PROPORTIONAL))
@@ -107,26 +91,6 @@ def test_a_cut_leaves_no_windup(stated: Settings, library: Library) -> None:
     assert np.sum(wanted == 4.0) > 1000
     np.testing.assert_allclose(currents, wanted, atol=1e-9)
     assert bench.servo.counts[Notice.COMMAND_SATURATED] == 1
-
-
-def test_near_its_limit_the_coil_gets_feedback_but_no_transient(bench: Bench) -> None:
-    guard = bench.servo.guard
-    guard.winding_C = guard.housing_C = 95.5
-    bench.run(CONTACT + 200)
-    assert bench.events() == [Notice.TOO_HOT_TO_PLAY]
-    assert all(output.transient_A == 0.0 for output in bench.outputs)
-    assert max(output.feedback_A for output in bench.outputs) > 0.1
-
-
-def test_a_transient_is_scaled_to_the_coils_margin(bench: Bench) -> None:
-    guard = bench.servo.guard
-    guard.winding_C = guard.housing_C = 94.8
-    bench.run(CONTACT + 200)
-    assert bench.events() == [Notice.CONTACT, Notice.SCALED_FOR_HEAT]
-    assert 0.25 <= bench.servo.scale < 1.0
-    play = bench.servo.play
-    peak = max(abs(output.transient_A) for output in bench.outputs)
-    assert peak == pytest.approx(bench.servo.scale * max(map(abs, play.samples_A)), rel=0.05)
 
 
 READING = st.builds(
@@ -159,7 +123,7 @@ def test_absurd_readings_never_make_an_absurd_command(
 
 
 @pytest.mark.parametrize("slew_A_per_s", [None, 5000.0])
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_limits_hold_whatever_the_hand_does(
     stated: Settings, tables: Bank, seed: int, slew_A_per_s: float | None
 ) -> None:
@@ -186,7 +150,7 @@ def test_limits_hold_whatever_the_hand_does(
         assert np.mean(steps <= slew_A_per_s * DT_S + 1e-9) > 0.95
 
 
-@pytest.mark.parametrize("off", [-0.2, -0.1, 0.0, 0.1, 0.2])
+@pytest.mark.parametrize("off", [-0.2, 0.0, 0.2])
 def test_the_limit_holds_for_every_pole_within_the_tolerance(stated: Settings, tables: Bank, off: float) -> None:
     """An amplifier that is faster or slower than the model, under a wild hand on a stiff wall."""
     rng = np.random.default_rng(3)
@@ -206,20 +170,6 @@ def test_the_limit_holds_for_every_pole_within_the_tolerance(stated: Settings, t
     assert (peaks[1] > 4.04) == (off > 0)
 
 
-def test_second_contact_while_playing_is_chatter(stated: Settings, tables: Bank) -> None:
-    def bouncing(k: float) -> float:
-        if k < CONTACT + 50:
-            return tap_m(k)
-        up = (k - CONTACT - 50) * DT_S
-        return tap_m(CONTACT + 50) + 0.4 * up - 9.0 * up**2
-
-    bench = Bench(stated, tables, bouncing)
-    bench.servo.arm()
-    bench.run(CONTACT + 560)
-    assert bench.events() == [Notice.CONTACT, Notice.CONTACT_CHATTER]
-    assert bench.servo.counts[Notice.CONTACT_CHATTER] == 1
-
-
 def test_out_of_grid_and_grip_are_told(stated: Settings, tables: Bank) -> None:
     fast = Bench(stated, tables, lambda k: tap_m(k, 0.7))
     fast.servo.arm()
@@ -236,59 +186,6 @@ def test_out_of_grid_and_grip_are_told(stated: Settings, tables: Bank) -> None:
     loose.run(CONTACT + 300)
     assert loose.events() == [Notice.NO_GRIP]
     assert not any(loose.commands())
-
-
-def test_a_device_without_grip_sensor_plays_the_assumed_grip(stated: Settings, tables: Bank) -> None:
-    bench = Bench(replace(stated, assumed_grip_N=3.0), tables)
-    bench.servo.arm()
-    bench.grip_N = NAN
-    bench.run(CONTACT + 900)
-    assert bench.events() == [Notice.CONTACT, Notice.FINISHED]
-    assert bench.servo.play.grip_N == 3.0
-
-
-def test_gain_scales_both_parts_and_moves_slowly(stated: Settings, tables: Bank) -> None:
-    made = replace(stated, wall=WALL)
-    whole, half = Bench(made, tables), Bench(made, tables)
-    whole.servo.set_gain(0.5)  # so that the two together stay below the limit
-    half.servo.set_gain(0.25)
-    for bench in (whole, half):
-        bench.servo.arm()
-        bench.run(CONTACT + 400)
-    np.testing.assert_allclose(half.commands(), 0.5 * np.array(whole.commands()), atol=1e-12)
-    for asked, given_gain in ((7.0, 1.0), (-1.0, 0.0), (NAN, 0.0)):
-        half.servo.set_gain(asked)
-        assert half.servo.wanted_gain == given_gain
-    half.step()
-    assert half.servo.gain == pytest.approx(0.25 - 10 * DT_S)
-    half.run(499)
-    assert half.servo.gain == pytest.approx(0.0, abs=1e-12)
-
-
-def test_idle_commands_nothing_and_the_wall_waits_for_free_air(stated: Settings, tables: Bank) -> None:
-    inside = Bench(replace(stated, wall=WALL), tables, lambda k: -1e-3 + 3e-8 * k * k / 10)
-    inside.run(50)
-    assert not any(inside.commands())
-    inside.servo.arm()
-    inside.run(400)
-    assert not any(inside.commands())
-
-
-def test_two_servos_agree_to_the_last_bit(stated: Settings, tables: Bank) -> None:
-    runs = []
-    for _ in range(2):
-        bench = Bench(replace(stated, wall=WALL), tables)
-        bench.servo.arm()
-        runs.append(bench.run(CONTACT + 800).commands())
-    assert runs[0] == runs[1]
-
-
-def test_without_coil_data_the_temperature_is_unknown(stated: Settings, tables: Bank) -> None:
-    bench = Bench(replace(stated, coil=None), tables)
-    bench.servo.arm()
-    bench.run(CONTACT + 100)
-    assert math.isnan(bench.outputs[-1].winding_C)
-    assert bench.servo.state is State.PLAYING
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,7 @@ def shown(request: pytest.FixtureRequest) -> tuple[Service, to.Library]:
     return Service(scene), to.solve(scene)
 
 
-@pytest.mark.parametrize("left_K", [1.0, 0.3, 0.2, 0.1, 0.06, 1e-3, -1.0])
+@pytest.mark.parametrize("left_K", [0.3, 0.1, 1e-3])
 def test_it_is_what_the_servo_decides_and_the_replay_plays(shown: tuple[Service, to.Library], left_K: float) -> None:
     service, library = shown
     settings, play = Settings.of(library), blend_at(bank(library), 0.3, 3.0)

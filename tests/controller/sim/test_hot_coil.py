@@ -1,4 +1,4 @@
-"""A hot coil on a simulated device: its taps are blends with the library's cool commands, as predicted."""
+"""The coil of a simulated device: its heat, and its taps when it is hot, blends with the cool commands."""
 
 from dataclasses import replace
 
@@ -9,6 +9,7 @@ import transopt as to
 from controller.host.payload import payload_of
 from controller.protocol.image import bank_of
 from controller.servo.interface import Notice
+from controller.sim.heating import heat_record, true_coil
 from controller.sim.played_tap import play_tap
 from controller.sim.simulated_tap import SimulatedTap
 from controller.waveforms.bank import Method, bank
@@ -18,6 +19,7 @@ from tests.benches.oracle.servo import Servo
 from transopt.base.errors import InputError
 from transopt.base.signals import nrmse
 from transopt.library.library import Library
+from transopt.plant.coil import CoilModel, effective_square
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 
@@ -76,3 +78,26 @@ def test_methods_that_blend_the_library_carry_its_second_commands(cooled: Librar
 def test_a_blend_is_predicted_only_of_a_library_that_has_one(cooled: Library) -> None:
     with pytest.raises(InputError, match="no cool commands"):
         predict(replace(cooled, cool=None), SPEED_M_S, GRIP_N, 1.0, 1.0, 0.5)
+
+
+@pytest.fixture(scope="module")
+def coil(scene: Scene) -> CoilModel:
+    found = scene.coil()
+    assert found is not None
+    return found
+
+
+def test_against_the_exact_solution(coil: CoilModel) -> None:
+    truth = true_coil(coil, 0.2, 3)
+    assert truth.R_ha_K_W != coil.R_ha_K_W
+    assert truth.R_wh_K_W == pytest.approx(coil.R_wh_K_W, rel=0.2)
+    taken = heat_record(truth, 1.1, 900.0, 600.0, 1.0, noise_K=0.0, current_noise_A=0.0, seed=0)
+    square = effective_square(taken["current_A"][:-1])
+    winding, housing = truth.simulate(square[None], np.ones(square.size))
+    np.testing.assert_allclose(taken["winding_C"], winding[0], atol=1e-3)
+    np.testing.assert_allclose(taken["housing_C"], housing[0], atol=1e-3)
+
+
+def test_too_hot(coil: CoilModel) -> None:
+    with pytest.raises(InputError, match=r"would pass its limit of 100 C after \d+ s at 2 A; lower --current"):
+        heat_record(coil, 2.0, 3600.0, 10.0, 1.0, noise_K=0.0, seed=0)

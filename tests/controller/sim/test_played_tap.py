@@ -11,7 +11,6 @@ from controller.sim.played_tap import Played, play_tap
 from controller.sim.simulated_tap import SimulatedTap, approach_ticks
 from controller.sim.simulator import Imperfections
 from controller.sim.true_device import Ground
-from controller.sim.user import Tremor
 from controller.waveforms.bank import bank
 from controller.waveforms.prediction import predict
 from tests.benches.oracle.servo import Servo
@@ -114,11 +113,6 @@ class TestNominalTap:
         # Kinks of the held command meet the spline between its knots.
         assert m.playback_error < 1e-3
 
-    def test_gain(self, library: Library) -> None:
-        m = play(library, 0.2, 3.0, gain=0.5)
-        assert m.playback_error < 1e-5
-        assert m.peak_m_s2 == pytest.approx(play(library, 0.2, 3.0).peak_m_s2 / 2, rel=1e-6)
-
     def test_same_seed_same_tap_and_phase_of_its_own(self, library: Library) -> None:
         def once(seed: int) -> Played:
             tap = SimulatedTap(0.2, 3.0, seed=seed, imperfections=Imperfections(mismatch=0.1))
@@ -131,9 +125,6 @@ class TestNominalTap:
 
 
 class TestUsersAndImperfections:
-    def test_the_hand_of_the_recordings_is_predicted_too(self, library: Library) -> None:
-        assert play(library, 0.3, 3.0).playback_error < 1e-5
-
     def test_a_hand_that_departs_from_the_assumption_costs(self, library: Library) -> None:
         """Nothing until it can react, tens of percent of the whole window where the hand stops dead then."""
         yielding = play(library, 0.3, 3.0, yields="brakes")
@@ -162,9 +153,6 @@ class TestUsersAndImperfections:
         """2 N s/m of viscous friction to ground that the model lacks cost 10 %."""
         imperfections = Imperfections(crossover_A=0.0, ground=Ground(damping_N_s_m=2.0))
         assert play(library, 0.3, 3.0, imperfections=imperfections).playback_error == pytest.approx(0.1, abs=0.04)
-
-    def test_tremor(self, library: Library) -> None:
-        assert play(library, 0.2, 3.0, tremor=Tremor()).playback_error < 0.1
 
 
 class TestNothingPlayed:
