@@ -1,4 +1,4 @@
-"""The blind comparison of two libraries, on the compiled device with simulated hands and simulated persons."""
+"""Taps on the compiled device: recorded and compared, and two libraries compared blindly by simulated persons."""
 
 import csv
 from pathlib import Path
@@ -112,3 +112,18 @@ def test_libraries_that_differ_in_more_than_waveforms_are_refused(
         main(pair[0], pair[0], csv_file=tmp_path / "answers.csv", simulate=True)
     with pytest.raises(InputError, match="give --port PORT or --simulate"):
         main(*pair, csv_file=tmp_path / "answers.csv")
+
+
+end_to_end = script("device_end_to_end")
+
+
+@pytest.mark.usefixtures("c_compiler", "pseudo_terminal")
+def test_a_tap_goes_over_the_line_into_a_file_and_agrees_with_its_prediction(
+    library: Library, tmp_path: Path
+) -> None:
+    [condition] = end_to_end.recorded(library, [(0.3, 3.0)], end_to_end.IDEAL, 1, 0, tmp_path / "taps")
+    assert condition.latency_rms_s < end_to_end.MOST_LATENCY_S
+    assert condition.playback_errors[0] < 0.01
+    # What the limits leave of it at this node is told apart from how well it is played.
+    assert abs(condition.tap_error - library.tap_error[library.speeds_m_s == 0.3, library.grips_N == 3.0][0]) < 0.02
+    assert condition.taps[0].contact.speed_m_s == pytest.approx(0.3, rel=0.05)

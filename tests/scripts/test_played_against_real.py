@@ -29,7 +29,7 @@ def build(scene: Scene) -> Build:
     return build_library(scene, recordings(scene))
 
 
-@pytest.mark.parametrize("yields", ["straight", "brakes", "stops", "decays", "pulls"])
+@pytest.mark.parametrize("yields", ["brakes", "pulls"])
 def test_a_struck_object_gives_what_the_recordings_integrate(scene: Scene, yields: Any) -> None:
     """Absolute positions and a method of eighth order here, deviations and Runge-Kutta of fourth order there."""
     target = scene.recordings.simulated
@@ -70,18 +70,9 @@ def test_over_a_wall_a_played_tap_is_what_the_table_says(walled: Scene, over_a_w
     assert entry.played.heat_A2_ms == pytest.approx(entry.table.heat_A2_ms, rel=1e-3)
 
 
-@pytest.mark.parametrize(
-    "other",
-    [
-        {"feedback.latency_ticks": 20},
-        {"feedback.damping_N_s_m": 0.4, "feedback.derivative_filter_Hz": 50.0},
-    ],
-    ids=lambda other: next(iter(other)),
-)
-def test_another_wall_than_the_one_of_the_table_is_found(
-    walled: Scene, over_a_wall: Build, other: dict[str, float]
-) -> None:
-    (entry,) = against.played(with_values(walled, other), list(over_a_wall.all_entries()))
+def test_another_wall_than_the_one_of_the_table_is_found(walled: Scene, over_a_wall: Build) -> None:
+    other = with_values(walled, {"feedback.damping_N_s_m": 0.4, "feedback.derivative_filter_Hz": 50.0})
+    (entry,) = against.played(other, list(over_a_wall.all_entries()))
     assert entry.apart > 1e-3
 
 
@@ -99,11 +90,10 @@ def test_a_command_that_is_cut_leaves_the_feedback_what_it_made_of_it() -> None:
 
 def test_another_command_than_the_one_of_the_table_is_found(scene: Scene, build: Build) -> None:
     (entry,) = build.all_entries()
-    for wrong in (0.9 * entry.solution.command, np.roll(entry.solution.command, 3)):
-        solution = replace(entry.solution, command=wrong)
-        told = replace(entry, designed=replace(entry.designed, solution=solution))
-        (found,) = against.played(scene, [told])
-        assert found.further > found.recording + against.ALLOWED
+    solution = replace(entry.solution, command=np.roll(entry.solution.command, 3))
+    told = replace(entry, designed=replace(entry.designed, solution=solution))
+    (found,) = against.played(scene, [told])
+    assert found.further > found.recording + against.ALLOWED
 
 
 def test_a_recording_whose_contact_is_put_late_is_found_to_be_nothing_else(scene: Scene) -> None:

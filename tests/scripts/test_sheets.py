@@ -1,4 +1,4 @@
-"""Six published sheets: what is left out is found from the rest, and their page says what the script finds."""
+"""Pages that scripts write: six published sheets, of which what is left out is found from the rest; schematics."""
 
 import tomllib
 
@@ -44,3 +44,8 @@ def test_a_wrong_unit_in_a_sheet_is_named(wrong: str) -> None:
     note = sheets.completed(told, sheets.Rating(L_H=0.0)).note
     assert note.startswith("the numbers contradict each other; one of these is wrong: ")
     assert sheets.WORDS[wrong] in note
+
+
+def test_the_drawings_of_the_manual_have_the_values_of_today() -> None:
+    for name, text in script("circuit_drawings").drawings().items():
+        assert (ROOT / "docs/howto" / name).read_text(encoding="utf-8") == text, "run scripts/circuit_drawings.py"

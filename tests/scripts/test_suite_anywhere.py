@@ -48,11 +48,6 @@ def test_an_order_is_asked_for_as_the_plugin_reads_it(old: suite_anywhere.Probed
         assert list(one.variables) == [shuffled.VARIABLE]
 
 
-def test_every_environment_has_a_name_of_its_own(old: suite_anywhere.Probed) -> None:
-    names = [environment.name for environment in suite_anywhere.environments(old)]
-    assert len(set(names)) == len(names)
-
-
 def test_what_this_processor_has_not_is_skipped_by_name(old: suite_anywhere.Probed) -> None:
     by_name = {environment.name: environment for environment in suite_anywhere.environments(old)}
     assert "AVX512" in suite_anywhere.obstacle(by_name["BLAS for SkylakeX"], old)
