@@ -1,8 +1,8 @@
 """No figure in the prose of the manual is stale: what it claims of a scene is measured again, and has a source.
 
 A sentence outside of the appendix that tells how large an error, a floor or an intensity came out is one of `CLAIMS`,
-each made again here; or its figures stand in what a block of the page prints, or on the page of results that its
-paragraph links to; or it is one of `RULES`, which state a bound or an example and measure nothing.
+which `test_numbers` makes again; or its figures stand in what a block of the page prints, or on the page of results
+that its paragraph links to; or it is one of `RULES`, which state a bound or an example and measure nothing.
 """
 
 import re
@@ -248,11 +248,6 @@ def check(claim: Claim) -> None:
     said = " ".join(text(claim.page).split())
     measured = claim.words.format(*claim.measured())
     assert measured in said, f"{claim.page}: measured today: {measured}"
-
-
-@pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: f"{Path(claim.page).stem}: {claim.words[:40]}")
-def test_what_is_claimed_is_measured(claim: Claim) -> None:
-    check(claim)
 
 
 @pytest.mark.long

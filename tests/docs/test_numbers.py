@@ -235,8 +235,10 @@ def unsourced() -> Iterator[str]:
                     yield f"{named(page)}: {', '.join(left)}: {sentence}"
 
 
-@pytest.mark.parametrize("claim", COMPUTED, ids=lambda claim: f"{Path(claim.page).stem}: {claim.words[:40]}")
-def test_what_is_computed_is_on_its_page(claim: Claim) -> None:
+@pytest.mark.parametrize(
+    "claim", [*CLAIMS, *COMPUTED], ids=lambda claim: f"{Path(claim.page).stem}: {claim.words[:40]}"
+)
+def test_what_is_claimed_and_what_is_computed_is_on_its_page(claim: Claim) -> None:
     check(claim)
 
 
