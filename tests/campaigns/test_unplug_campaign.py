@@ -1,15 +1,16 @@
 """Unplugs, resets, kills and hangs at random instants of a session with the compiled device.
 
     python -m pytest -m long -n 0 tests/campaigns/test_unplug_campaign.py
-        --campaign="[--cases 1000] [--seed 0]"
+        --campaign="[--cases 1000] [--processes 12] [--seed 0]"
 
-All is in virtual time (`unplug_cases`). Of each case is asked: the command is zero within the lease after the last
-heartbeat that arrived, by the device's own ticks; the host says so within 1 s (where it was still connecting, and
-nothing but silence tells it, at the end of the time it connects for); nothing hangs; nothing arms again by itself,
-also not after connecting again; each line of the recording is what the device did in that tick. It fails if anything
-is off.
+In virtual time (`unplug_cases`), and with real processes, killed by SIGKILL, on pseudo-terminals and sockets
+(`unplug_processes`). Of each case is asked: the command is zero within the lease after the last heartbeat that
+arrived, by the device's own ticks; the host says so within 1 s (where it was still connecting, and nothing but
+silence tells it, at the end of the time it connects for); nothing hangs; nothing arms again by itself, also not after
+connecting again; each line of the recording is what the device did in that tick. It fails if anything is off.
 """
 
+import sys
 import tempfile
 import time
 from collections import Counter, defaultdict
@@ -20,10 +21,31 @@ from typing import Annotated
 import numpy as np
 import pytest
 
-from controller.record.telemetry import Telemetry
+from controller.record.telemetry import CSV_NAME, Telemetry
 from controller.servo.interface import Output, Readings, State
 from tests.campaigns.harness import Seed, at_least, long_form
 from tests.campaigns.unplug_cases import IMAGE, KINDS, PHASES, Case, Judged, Outcome
+from tests.campaigns.unplug_processes import KINDS as PROCESS_KINDS
+from tests.campaigns.unplug_processes import Ended, play
+
+
+def virtual(cases: int, seed: int, folder: Path) -> list[Outcome]:
+    """So many cases, each of its own seed."""
+    return [Case(1_000_000 * seed + j, folder / f"virtual{j}").play() for j in range(cases)]
+
+
+def real(cases: int, seed: int, folder: Path) -> list[Ended]:
+    """So many with real processes: every kind in turn, every third round on a socket.
+
+    Raises
+    ------
+    InputError : no compiler, no pseudo-terminal, no host.
+    """
+    kinds = len(PROCESS_KINDS)
+    return [
+        play(1_000_000 * seed + j, folder / f"real{j}", listen=j // kinds % 3 == 2, kind=PROCESS_KINDS[j % kinds])
+        for j in range(cases)
+    ]
 
 
 def worst(values: Iterable[float]) -> str:
@@ -32,38 +54,47 @@ def worst(values: Iterable[float]) -> str:
     return f"{np.max(known):8.3f}" if known else "       -"
 
 
-def summarise(outcomes: list[Outcome]) -> None:
+def summarise(outcomes: list[Outcome] | list[Ended], phases: Iterable[str]) -> None:
     """Counts by kind and phase, and the worst times."""
-    kinds: dict[str, list[Outcome]] = defaultdict(list)
+    kinds: dict[str, list[Outcome | Ended]] = defaultdict(list)
     for outcome in outcomes:
         kinds[outcome.kind].append(outcome)
-    print(f"{'':14s}{''.join(f'{phase:>14s}' for phase in PHASES)}   report s  connecting s  held/lease  lines kept")
+    phases = tuple(phases)
+    print(f"{'':14s}{''.join(f'{phase:>14s}' for phase in phases)}   report s  connecting s  held/lease  lines kept")
     for kind, those in kinds.items():
         counts = Counter(outcome.phase for outcome in those)
         told = worst(o.report_s for o in those if o.phase != "connect")
         connecting = worst(o.report_s for o in those if o.phase == "connect")
         held = max(o.held_ms / o.lease_ms for o in those)
         print(
-            f"{kind:14s}{''.join(f'{counts[phase]:14d}' for phase in PHASES)} {told:>10s} {connecting:>13s} "
+            f"{kind:14s}{''.join(f'{counts[phase]:14d}' for phase in phases)} {told:>10s} {connecting:>13s} "
             f"{held:11.4f} {sum(o.rows for o in those):11d}"
         )
 
 
 def main(
-    cases: Annotated[int, at_least(1)] = 1000,
+    cases: Annotated[int, at_least(0, "in virtual time")] = 1000,
+    processes: Annotated[int, at_least(0, "with real processes")] = 12,
     seed: Seed = 0,
 ) -> int:
     with tempfile.TemporaryDirectory(prefix="transopt-") as folder:
         began_s = time.monotonic()
-        played = [Case(1_000_000 * seed + j, Path(folder) / str(j)).play() for j in range(cases)]
-    print(f"{cases} cases in virtual time, {time.monotonic() - began_s:.0f} s")
-    summarise(played)
-    missing = sorted(set(KINDS) - {case.kind for case in played})
-    if missing:
-        print(f"kinds that did not come: {', '.join(missing)}")
+        played = virtual(cases, seed, Path(folder))
+        print(f"{cases} cases in virtual time, {time.monotonic() - began_s:.0f} s")
+        summarise(played, PHASES)
+        missing = sorted(set(KINDS) - {case.kind for case in played})
+        if cases and missing:
+            print(f"kinds that did not come: {', '.join(missing)}")
+        sys.stdout.flush()
+        began_s = time.monotonic()
+        ended = real(processes, seed, Path(folder))
+        print(f"{processes} cases with real processes, {time.monotonic() - began_s:.0f} s")
+        summarise(ended, dict.fromkeys(case.phase for case in ended))
+    named = {"case": played, "processes": ended}
     breaches = [
-        f"case {j}, {outcome.phase}, {outcome.kind}: {words}"
-        for j, outcome in enumerate(played)
+        f"{name} {j}, {outcome.phase}, {outcome.kind}: {words}"
+        for name, outcomes in named.items()
+        for j, outcome in enumerate(outcomes)
         for words in outcome.breaches
     ]
     for words in breaches[:20]:
@@ -150,3 +181,12 @@ def test_a_spoilt_recording_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(Telemetry, "flush", spoilt)
     breaches = case_of("playing", "cable", tmp_path / "spoilt").play().breaches
     assert any(words.startswith("recording: tick") for words in breaches)
+
+
+@pytest.mark.usefixtures("pseudo_terminal")
+def test_a_host_is_killed(tmp_path: Path) -> None:
+    ended = play(4, tmp_path / "real", kind="host killed")
+    assert ended.breaches == []
+    assert ended.phase == "armed"
+    assert ended.held_ms > 0.9 * ended.lease_ms
+    assert (tmp_path / "real" / CSV_NAME).exists()
