@@ -35,6 +35,7 @@ USUAL_SPEED_CHANGE = 1.2
 CHANGE_WITHIN_S = 0.05  # after contact; later the hand lifts the stylus
 PEAK_G = (0.3, 60.0)  # peaks of taps by hand; the built-in ones reach 19
 HAND_M_S = (0.01, 3.0)  # speeds that a hand taps with
+HAND_N = (0.05, 60.0)  # forces that a hand grips with
 FINE = 100_000  # number of samples to which a recording is reduced for this check
 GROWTH = 1.2  # ratio of the successive lengths tried for the pulse
 
@@ -128,6 +129,18 @@ def implausible_motion(
     places = {"onset_s": settings.onset_s != "auto", "offset_m_s2": settings.offset_m_s2 != "baseline"}
     stated = "".join(f", or recordings.{key}" for key, is_stated in places.items() if is_stated)
     return f"{found}: check the unit of the acceleration ({guess}), or {column}{stated}"
+
+
+def implausible_grip(grip_N: float) -> str:
+    """Why a recorded grip cannot be a hand's, and which unit was probably meant; empty if it can be.
+
+    A grip below the range may be a load cell's noise at a stylus that nobody holds.
+    """
+    if grip_N <= HAND_N[1]:
+        return ""
+    likely = likely_slip(grip_N, HAND_N, {"N and gf": 1e3 / STANDARD_GRAVITY_M_S2, "N and mN": 1e3})
+    hand = f"a hand's {HAND_N[0]:g} to {HAND_N[1]:g} N"
+    return f"the grip is {grip_N:.4g} N, {hand}: check the unit of the grip{likely}"
 
 
 def _height(peak_g: float) -> str:

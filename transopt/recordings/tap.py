@@ -21,7 +21,7 @@ from transopt.files.units import read_unit
 from transopt.recordings.after_contact import pulled_back_after_s, second_hit
 from transopt.recordings.approach import GUARD_S, find_approach
 from transopt.recordings.onset import Upright, contact, onsets_of, rises, uprights
-from transopt.recordings.plausible import HAND_M_S, implausible_motion, implausible_time
+from transopt.recordings.plausible import HAND_M_S, implausible_grip, implausible_motion, implausible_time
 from transopt.recordings.recording import VOCABULARY, Recording, load_recording
 from transopt.recordings.settings import Recordings
 from transopt.recordings.speed import FITTED, UNKNOWN, contradiction, facing_out, incoming_speed
@@ -330,6 +330,8 @@ def _prepared(
     pulled, hit = _hand_after_contact(recording, filtered, onset, settings)
     clipped = _clipped(raw.values, offset)
     stop = f"{clipped} samples at the end stop: the true peak is higher; use a sensor of larger range" * (clipped > 0)
+    if not settings.simulated:
+        doubtful = doubtful or implausible_grip(recording.grip_N or 0.0) or f"clipped, {stop}" * (clipped > 0)
     doubts = _doubts(raw, speed, peak, noise if np.isnan(speed) else factor * noise)
     notes = (*up.notes, *found, *turned, *gripped, *came.notes, pulled, *unsure, stop, hit, *doubts)
     return PreparedTap(
@@ -347,7 +349,7 @@ def _prepared(
         amplitude=factor,
         clipped_samples=clipped,
         notes=(*recording.notes, *filter(None, notes)),
-        implausible=doubtful or ("" if settings.simulated else f"clipped, {stop}" * (clipped > 0)),
+        implausible=doubtful,
         across=_across(recording, settings, onset, up.polarity, factor),
     )
 

@@ -14,7 +14,7 @@ from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.files.formats import full_scales
 from transopt.files.unclear import Answer, UnclearError, joined, keys, options, printable, shown_path
-from transopt.files.units import known_units, read_unit, sensed
+from transopt.files.units import UNITS, known_units, read_unit, sensed
 from transopt.recordings.plausible import PEAK_G, USUAL_SPEED_CHANGE, speed_changes_m_s
 from transopt.recordings.settings import Recordings
 from transopt.recordings.tap import PreparedTap, check_speed, prepare, read_recordings
@@ -28,7 +28,7 @@ TRIAL_S = 2.0  # processor time after which no further answer is tried
 DEEPEST = 3  # most facts that a file may lack at the same time
 USUAL_RATE_HZ = (400.0, 300e3)  # sample rates of accelerometers and their recorders
 UNLIKELY = 0.1  # added to `oddness` per place in a list of answers, which begins with the likeliest
-MISTAKEN = ("acceleration", "time", "position")  # quantities whose wrong units make a tap implausible
+MISTAKEN = ("acceleration", "time", "position", "grip")  # quantities whose wrong units make a tap implausible
 
 
 class Trials(NamedTuple):
@@ -181,6 +181,8 @@ def doubt(found: Taps) -> UnclearError | None:
         answers += full_scales()
     if settings.speed_m_s is not None:
         answers += [{"speed_m_s": float(f"{by * settings.speed_m_s:.4g}")} for by in (1e-2, 1e-3)]
+    if settings.grip_N is not None:
+        answers += [{"grip_N": float(f"{UNITS['grip'][unit] * settings.grip_N:.4g}")} for unit in ("gf", "mN")]
     answers.append({"implausible": "accept"})
     return UnclearError(odd.implausible, answers, Path(odd.recording.source))
 

@@ -15,7 +15,7 @@ from transopt.base.errors import InputError
 from transopt.base.units import unit_of
 from transopt.plant.coil import HOUSING_C, WINDING_C
 from transopt.plant.state_space import StateSpace
-from transopt.recordings.plausible import HAND_M_S
+from transopt.recordings.plausible import HAND_M_S, HAND_N
 from transopt.scene.plausible_response import implausible_response
 
 ACCEPT = 'correct it; if it is right, --accept takes it, or implausible = "accept" above the first table of the scene'
@@ -48,7 +48,7 @@ MISTAKEN = {
 # Ending of a dotted key, or of one with a kind in place of its table -> smallest and largest plausible number.
 PLAUSIBLE = {
     "grid.speeds_m_s": HAND_M_S,
-    "grid.grips_N": (0.05, 60.0),
+    "grid.grips_N": HAND_N,
     "grip_min_N": (0.01, 20.0),
     "dt_s": (1e-6, 0.02),
     "lead_s": (1e-6, 0.25),
@@ -110,7 +110,7 @@ PLAUSIBLE = {
     "noise_g_rtHz": (1e-7, 0.05),
     "range_g": (0.5, 1e5),
     "lowpass_Hz": (50.0, 1e5),
-    "recordings.grip_N": (0.05, 60.0),
+    "recordings.grip_N": HAND_N,
     "rate_Hz": (200.0, 1e8),
     "start_s": (1e-6, 1e4),  # of a target in a recording, which may be of hours
     "length_s": (1e-5, 1.0),

@@ -122,6 +122,36 @@ def test_in_a_tap(run: Run, old: str, new: str, said: str) -> None:
 
 
 @pytest.mark.parametrize(
+    ("stated", "column", "right"),
+    [
+        ("# grip_N: 300", "", ["--accept"]),
+        ("# a load cell's", ",305.9", ["--units", "grip=gf"]),
+        ("# a load cell's", ",3000", ["--units", "grip=mN"]),
+    ],
+)
+def test_a_grip_that_no_hand_has(run: Run, stated: str, column: str, right: list[str]) -> None:
+    """A target of 300 N would serve every grip of the grid as that of the nearest one."""
+    head, *rows = (RECORDINGS / "tap_0.2_m_s.csv").read_text().split("time_s,")[1].splitlines()
+    lines = ["# speed_m_s: 0.1932", stated, f"time_s,{head}{',grip_N' * bool(column)}"]
+    Path("tap.csv").write_text("\n".join([*lines, *(row + column for row in rows)]))
+    said = ["N, a hand's 0.05 to 60 N: check the unit of the grip", " ".join(right)]
+    outcome = run("taps", "tap.csv", "--scene", "wrong.toml")
+    assert outcome.code == 2
+    assert all(each in outcome.err for each in said), outcome.err
+    assert_refused(run("solve", "wrong.toml"), said[0], "--accept")
+    assert run("taps", "tap.csv", *right).code == 0
+
+
+def test_a_stated_grip_that_no_hand_has(run: Run) -> None:
+    rows = [row for row in (RECORDINGS / "tap_0.2_m_s.csv").read_text().splitlines() if "grip" not in row]
+    Path("tap.csv").write_text("\n".join(rows))
+    outcome = run("taps", "tap.csv", "--grip", "300")
+    assert outcome.code == 2
+    assert "tried on it, of which only you know the right one: --grip 2.942 " in outcome.err
+    assert run("taps", "tap.csv", "--grip", "2.942").code == 0
+
+
+@pytest.mark.parametrize(
     ("factor", "said"), [(1e5, "1000: mm/s^2, mg or mV?"), (1e-5, "1000: mm/s^2, mg or mV?"), (1.0, "")]
 )
 def test_in_matrices(run: Run, factor: float, said: str) -> None:
