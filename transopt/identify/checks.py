@@ -30,7 +30,9 @@ REST_SAMPLES, END_NOISES = 20, 5.0  # number of first samples; largest end of a 
 GRAVITY_TOLERANCE = 0.25  # relative error of a nominal model's gain; no other cause changes a gain tenfold
 AGAINST = 0.5  # polarity is wrong if the reversed record has less than this share of the misfit of a passive device
 PASSIVE_BAND_HZ = (2.0, 150.0)  # where motor and stylus of such a device move as one
+INPUTS = ("command", "current", "voltage")  # signals that may be given as steps
 UNITS = {"command": "A", "current": "A", "voltage": "V", "acceleration": "m/s^2", "force": "N"}  # of checked signals
+SWITCHED_LEVELS, RANGE_PARTS = 8, 100  # most parts of its range that a switched input occupies, of all parts
 LEAST_STRETCH = 3  # bins in a stretch of low coherence that is reported
 GRIP_STEP_N = 0.25  # trials whose grips are closer than this count as one grip
 
@@ -67,6 +69,7 @@ def _signal(name: str, quantity: str, x: Signal, *, limited: bool) -> list[Findi
     if np.ptp(values) == 0:
         what = "the cable and the channel" if quantity != "command" else "what the device was told"
         return [Check.STILL.at(name, quantity=quantity, value=values[0], unit=unit, what=what)]
+    limited = limited or (quantity in INPUTS and _switched(values))
     found = []
     for side, at in ((1.0, "highest"), (-1.0, "lowest")):
         flat = flat_extreme(side * values)
@@ -81,6 +84,15 @@ def _signal(name: str, quantity: str, x: Signal, *, limited: bool) -> list[Findi
     if quantity != "command" and last > least:
         found.append(Check.CUT_SHORT.at(name, quantity=quantity, last=last, unit=unit, part=last / peak))
     return found
+
+
+def _switched(values: FloatArray) -> bool:
+    """Whether a signal jumps between a few levels, as steps and random binary sequences do, which are not clipped.
+
+    What clips has values on its way to the limit, all over its range.
+    """
+    parts = np.rint(RANGE_PARTS * (values - values.min()) / np.ptp(values))
+    return np.unique(parts).size <= SWITCHED_LEVELS
 
 
 def begun_late(run: Measurement) -> list[Finding]:

@@ -142,6 +142,18 @@ def test_a_saturated_command() -> None:
     assert "lower amplitude or offset and record again" in str(found[0])
 
 
+@pytest.mark.parametrize("held", [4, 50])
+def test_steps_between_levels_are_not_clipped(held: int) -> None:
+    """A random binary sequence dwells at its extremes as a clipped sine does, and has nothing between its levels."""
+    levels = np.repeat(np.random.default_rng(held).choice([-1.0, 1.0], 8000 // held), held)
+    levels[:100] = levels[-100:] = 0.0
+    assert checks.check_measurement(run({"voltage_V": levels}), ["voltage"]) == []
+    sine = 10 * np.sin(2 * np.pi * 25 * DT_S * np.arange(20000))
+    for wrong in ({"acceleration_m_s2": levels}, {"voltage_V": np.clip(sine, -1, 1)}):
+        (quantity,) = (name.split("_")[0] for name in wrong)
+        assert Fault.CLIPPED in {f.fault for f in checks.check_measurement(run(wrong), [quantity])}
+
+
 def test_no_excitation() -> None:
     still = {"command_A": np.zeros(1000), "current_A": np.random.default_rng(0).normal(0, 0.005, 1000)}
     found = [f for f in checks.check_measurement(run(still), ALL) if f.fault is not Fault.CUT_SHORT]
