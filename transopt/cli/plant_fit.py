@@ -122,11 +122,11 @@ def plant_sweep(
 
     Exit 1: the fit is not fit to design with; no plant is written.
     """
-    from transopt.identify.measurement import load_measurement
+    from transopt.cli.questions import measurements
     from transopt.identify.sweep_fit import fit_sweep
 
     _check_options(driven_by, out, delay_s)
-    measured = load_measurement(sweep, layout(columns, units, rate_Hz))
+    (measured,) = measurements([sweep], columns, units, rate_Hz)
     swept = fit_sweep(measured, order, driven_by or "", band_Hz, delay_s)
     fit = swept.fit
     by_voltage = fit.plant.driven_by.unit == "V"

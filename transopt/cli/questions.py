@@ -69,7 +69,7 @@ def answered(
 
 
 def measurements(files: Sequence[Path], columns: str, units: str, rate_Hz: float | None) -> list[Measurement]:
-    """Runs of a device, read as the command line and a person say.
+    """Runs of a device, read as the command line and a person say; what their files have beside it is noted.
 
     Raises
     ------
@@ -84,7 +84,10 @@ def measurements(files: Sequence[Path], columns: str, units: str, rate_Hz: float
     def read(answer: Answer) -> list[Measurement]:
         return load_measurements(files, layout(columns, units, rate_Hz, answer))
 
-    return answered(read, WORDS, describe, units=units)
+    runs = answered(read, WORDS, describe, units=units)
+    for note, first in {note: run.name for run in reversed(runs) for note in run.notes}.items():
+        terminal.console().print(f"{first}: {note}", style="yellow")
+    return runs
 
 
 def _asked(unclear: UnclearError, tried: Trials, words: Vocabulary) -> Answer:

@@ -7,7 +7,7 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray, Signal
-from transopt.identify.measurement import Measurement
+from transopt.identify.measurement import BY_NAME, Measurement
 from transopt.plant.coil import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, effective_square
 
 LEAST_RISE_K, LEAST_RISE_NOISE = 10.0, 5.0
@@ -102,7 +102,7 @@ def heat_record(run: Measurement, R_ohm: float, ripple_A: float = PWM_RIPPLE_A) 
     elif run.voltage is not None:
         winding = _by_resistance(run.name, current.values, run.voltage.values, R_ohm)
     else:
-        raise InputError(f"{run.name}: neither winding_C nor voltage_V: record one of them")
+        raise InputError(f"{run.name}: neither winding_C nor voltage_V: record one of them, or {BY_NAME}")
     ambient = run.ambient
     record = HeatRecord(
         dt_s=current.dt_s,

@@ -9,6 +9,7 @@ from transopt.base.errors import InputError
 from transopt.base.signals import Signal
 from transopt.files.names import Layout, Scalar, Vocabulary
 from transopt.recordings.axes import read_signals
+from transopt.recordings.plausible import implausible_grip
 from transopt.recordings.split import pieces
 
 WORDS = Vocabulary(
@@ -29,6 +30,7 @@ WORDS = Vocabulary(
     required=("time",),
     step_s=(1e-7, 60.0),  # a logger of temperatures may read once a minute, since heating takes half an hour
 )
+BY_NAME = "name all columns by --columns, - skips one"  # where a column may go by a name that nobody knows
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,7 @@ class Measurement:
     held_out : whether the run is held out for validation and must not be fitted.
     off_grid : rms deviation of the time stamps from the uniform grid, in steps, before resampling to it.
     missing : which samples were interpolated, in one sentence; empty if none was missing.
+    notes : what of the file was left out or not used, one sentence each.
     """
 
     name: str
@@ -77,6 +80,7 @@ class Measurement:
     held_out: bool = False
     off_grid: float = 0.0
     missing: str = ""
+    notes: tuple[str, ...] = ()
 
     def require(self, quantity: str) -> Signal:
         """The signal of a quantity.
@@ -87,7 +91,7 @@ class Measurement:
         """
         found = getattr(self, quantity)
         if found is None:
-            raise InputError(f"{self.name}: no column {WORDS.names_of(quantity)[0]}; record it too")
+            raise InputError(f"{self.name}: no column {WORDS.names_of(quantity)[0]}; record it too, or {BY_NAME}")
         assert isinstance(found, Signal)
         return found
 
@@ -169,7 +173,11 @@ def load_measurement(path: Path, layout: Layout | None = None) -> Measurement:
         )
     table = read_signals(path, WORDS, layout or Layout())
     if not table.signals:
-        raise InputError(f"{path}: no column but time; known: {', '.join(WORDS.columns)}")
+        idle = "".join(f"; {note}" for note in table.notes)
+        known = ", ".join(WORDS.columns)
+        raise InputError(f"{path}: no column but time; known: {known}{idle}; {BY_NAME}, as 'time [ms],voltage [V],-'")
+    if wrong := implausible_grip(table.scalars.get("grip", 0.0)):
+        raise InputError(f"{path}: {wrong}; correct grip_N in the file")
     return Measurement(
         name=path.name,
         source=str(path),
@@ -181,5 +189,6 @@ def load_measurement(path: Path, layout: Layout | None = None) -> Measurement:
         held_out=bool(table.scalars.get("held_out", 0.0)),
         off_grid=table.off_grid,
         missing=table.missing,
+        notes=table.notes,
         **table.signals,
     )

@@ -106,6 +106,33 @@ def test_two_seconds_of_time_volts_and_g_are_a_plant_within_one_percent(run: Run
     assert Path("plant.png").exists()
 
 
+def test_a_random_binary_sequence_is_no_clipped_sensor(run: Run) -> None:
+    """Its voltage is at an extreme all the time, as a generator or an H-bridge puts it out."""
+    actuator, random, rate_Hz = Actuator(), np.random.default_rng(114), 1e4
+    volts = np.repeat(random.choice([-1.0, 1.0], 5000), 4)
+    volts[:200] = volts[-3000:] = 0.0
+    a = actuator.acceleration(np.repeat(volts[:, None], 3, axis=1), 1 / rate_Hz)
+    a += 5e-3 * np.abs(a).max() * random.standard_normal(a.size)
+    rows = np.transpose([np.arange(a.size) / rate_Hz, volts, a / G])
+    np.savetxt("prbs.csv", rows, "%.7g", ",", header="time_s,voltage_V,acceleration_g", comments="")
+    outcome = run("plant", "sweep", "prbs.csv", "--out", "plant.npz")
+    assert outcome.code == 0, outcome.out + outcome.err
+    assert seen("plant.npz")[:2] == pytest.approx((150, 8), rel=0.01)
+
+
+def test_channels_without_a_known_name_are_named_with_how_to_name_them(run: Run) -> None:
+    record("sweep.csv", 115)
+    t, u, a = np.loadtxt("sweep.csv", delimiter=",", skiprows=1).T
+    rows = np.transpose([1e3 * t, u, 100 * a])
+    header = "Time,Channel A,Channel B\n(ms),(V),(mV)\n"
+    np.savetxt("pico.csv", rows, "%.9g", ",", header=header, comments="")
+    words = ["no column but time", "'Channel A [V], Channel B [mV]' not used", "by --columns"]
+    assert_refused(run("plant", "sweep", "pico.csv", "--out", "plant.npz"), *words)
+    named = "time [ms],voltage [V],acceleration [mV @ 100 mV/g]"
+    assert run("plant", "sweep", "pico.csv", "--out", "plant.npz", "--columns", named).code == 0
+    assert seen("plant.npz") == pytest.approx((150, 8, Actuator().gain), rel=0.01)
+
+
 def test_what_it_writes_is_designed_with(run: Run) -> None:
     record("sweep.csv", 104)
     assert run("plant", "sweep", "sweep.csv", "--out", "plant.npz").code == 0

@@ -41,6 +41,12 @@ def test_a_grip_of_zero_is_a_free_device(tmp_path: Path) -> None:
     assert load_measurement(tmp_path / "free.npz").grip_N == 0.0
 
 
+def test_a_grip_that_no_hand_has_is_refused(tmp_path: Path) -> None:
+    np.savez(tmp_path / "gf.npz", time_s=TIMES_S, command_A=RAMP, grip_N=300.0)
+    with pytest.raises(InputError, match=r"gf\.npz: the grip is 300 N, .* 102: N and gf\?\); correct grip_N"):
+        load_measurement(tmp_path / "gf.npz")
+
+
 def test_slow_records_of_temperature_are_read(tmp_path: Path) -> None:
     np.savez(tmp_path / "heat.npz", time_s=np.arange(20) * 10.0, current_A=np.ones(20), winding_C=30 + RAMP)
     assert load_measurement(tmp_path / "heat.npz").require("winding").dt_s == pytest.approx(10.0)
