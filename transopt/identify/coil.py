@@ -20,6 +20,7 @@ from transopt.identify.heat_record import (
     DRIFT_K,
     LEAST_RISE_K,
     LEAST_STEP,
+    SENSING,
     Channel,
     HeatRecord,
 )
@@ -97,9 +98,13 @@ class CoilFit(Fit):
                 "steps, record faster, and the housing too"
             )
         if wide:
+            remedy = "record heating and cooling longer, with more current"
+            if record.cools_unseen:
+                share = f"{100 * SENSING:g} % of the current"
+                remedy = f"below {share} no temperature is known of the cooling: leave {150 * SENSING:g} % on"
             found.append(
-                f"known only {', '.join(wide)} (at most {100 * MOST_UNCERTAIN:.0f} %): record heating and cooling "
-                f"longer, with more current{'' if record.housing else ', or the housing too (housing_C)'}"
+                f"known only {', '.join(wide)} (at most {100 * MOST_UNCERTAIN:.0f} %): {remedy}"
+                f"{'' if record.housing else ', or record the housing too (housing_C)'}"
             )
         most = MOST_MISFIT * self._alike_rows() ** 0.5
         if self.misfit > most:

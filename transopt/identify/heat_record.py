@@ -13,7 +13,7 @@ from transopt.plant.coil import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE
 LEAST_RISE_K, LEAST_RISE_NOISE = 10.0, 5.0
 COARSEST = 0.2  # largest time between two rows over the winding's time constant
 DRIFT_K = 2.0  # largest drift of the ambient; the model takes it as constant
-_SENSING = 0.2  # share of the largest current below which voltage over current gives no temperature
+SENSING = 0.2  # share of the largest current below which voltage over current gives no temperature
 _CREDIBLE_C = (-50.0, 400.0)  # temperature of a winding
 LEAST_STEP = 0.1  # least change of the heating, over its maximum, that counts as a step
 _LEAST_NOISE_K = 1e-3
@@ -71,6 +71,12 @@ class HeatRecord:
     def powered_s(self) -> float:
         """Time during which the heating is above half of its maximum."""
         return float(self.dt_s * np.count_nonzero(self.heating_A2 > 0.5 * self.heating_A2.max()))
+
+    @property
+    def cools_unseen(self) -> bool:
+        """Whether no temperature of the winding is known at less than half of the heating."""
+        cooling = self.heating_A2 < 0.5 * self.heating_A2.max()
+        return not np.any(self.winding.weight[cooling] > 0)
 
 
 def heat_record(run: Measurement, R_ohm: float, ripple_A: float = PWM_RIPPLE_A) -> HeatRecord:
@@ -150,10 +156,10 @@ def _noise(values: FloatArray) -> float:
 def _by_resistance(name: str, current_A: FloatArray, voltage_V: FloatArray, R_ohm: float) -> Channel:
     """Winding temperature from the resistance, where enough current flows; its variance is proportional to 1 / i^2.
 
-    Noise of the current biases the temperature by (noise / i)^2 / alpha: 0.1 K for 5 mA in 0.25 A; hence `_SENSING`.
+    Noise of the current biases the temperature by (noise / i)^2 / alpha: 0.1 K for 5 mA in 0.25 A; hence `SENSING`.
     """
     share = np.abs(current_A) / np.abs(current_A).max()
-    known = share > _SENSING
+    known = share > SENSING
     resistance = np.where(known, voltage_V / np.where(known, current_A, 1.0), R_ohm)
     temperature = RESISTANCE_REFERENCE_C + (resistance / R_ohm - 1) / COPPER_PER_K
     strong = temperature[share > 0.5]

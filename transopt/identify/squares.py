@@ -132,8 +132,9 @@ def by_differences(
     """
 
     def evaluate(unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
-        sets = residuals(np.vstack([unknowns, unknowns + STEP * np.eye(unknowns.size)]))
-        return sets[0], np.asarray((sets[1:] - sets[0]).T / STEP)
+        with np.errstate(over="ignore", invalid="ignore"):  # far from the optimum; such a step is not taken
+            sets = residuals(np.vstack([unknowns, unknowns + STEP * np.eye(unknowns.size)]))
+            return sets[0], np.asarray((sets[1:] - sets[0]).T / STEP)
 
     return evaluate
 
