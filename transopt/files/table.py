@@ -23,7 +23,7 @@ from transopt.files.formats import read_raw
 from transopt.files.names import Layout, Vocabulary, axis_of, quote
 from transopt.files.raw_table import LARGEST, MIN_SAMPLES, RawTable
 from transopt.files.unclear import UnclearError, in_file
-from transopt.files.units import likely_units
+from transopt.files.units import UNITS, likely_units
 
 _UNIFORM = 0.01  # steps: stamps closer than this to the uniform grid count as on it
 _ASTRAY = 0.45  # steps: a stamp farther off the grid carries no time; its sample counts as missing
@@ -32,6 +32,7 @@ _IN_A_ROW = 1  # missing samples in a row that a spline can interpolate
 _JITTER = 0.35  # steps, rms: above it the sampling instants are unknown
 _BESIDE = 8  # stamps on either side of a long step, which show whether a row was lost
 _DISORDER = 0.1  # share of steps that go back, above which the column is no time
+_COUNTERS = [(bits, unit) for bits in (32, 16) for unit in ("us", "ms")]  # that micros() and millis() are, for two
 _TINY = 1e-300
 _AXES = ("x", "y", "z")
 _NEIGHBOURS = 21  # stamps that each stamp is compared with
@@ -138,7 +139,7 @@ def _signals(table: RawTable, words: Vocabulary, notes: list[str]) -> tuple[dict
     several = Counter(quantities.values())["acceleration"] > 1
     called = {name: axis_of(name) if several and of == "acceleration" else of for name, of in quantities.items()}
     si = {called[name]: _to_si(name, values, table) for name, values in table.columns.items()}
-    times = si.pop("time")
+    times = _unwrapped(si.pop("time"), notes)
     velocity = si.pop("velocity", None)
     if velocity is not None and "acceleration" not in quantities.values():
         notes.append("the acceleration is the slope of the velocity")
@@ -197,6 +198,25 @@ def _to_si(name: str, values: FloatArray, table: RawTable) -> FloatArray:
         limit = f"must be finite and at most {LARGEST:g} in SI units"
         raise InputError(f"{table.place(at)}, column {name}: {values[at]:g}: {limit}; correct it or cut the file")
     return converted
+
+
+def _unwrapped(times: FloatArray, notes: list[str]) -> FloatArray:
+    """The times (n,) [s] of a counter that began anew, as if it had more bits; other times as they are.
+
+    Parameters
+    ----------
+    notes : receives a sentence that names the counter.
+    """
+    steps = np.diff(times)
+    back, median = steps < 0, float(np.median(steps))
+    if not 0 < np.count_nonzero(back) <= _DISORDER * steps.size:
+        return times
+    for bits, unit in _COUNTERS:
+        period_s = 2**bits * UNITS["time"][unit]
+        if np.all(np.abs(steps[back] + period_s - median) < 0.5 * median):
+            notes.append(f"the times begin anew after 2^{bits} {unit}, as a counter of {bits} bit does: they go on")
+            return np.asarray(times + period_s * np.concatenate([[0], np.cumsum(back)]))
+    return times
 
 
 def _clock(times: FloatArray, place: Callable[[int], str], step_range_s: tuple[float, float]) -> _Clock:

@@ -42,7 +42,7 @@ def measured(
     noise_K: float = NOISE_K,
     rest_A: float = 0.0,
 ) -> Measurement:
-    """A record of `truth`; `warm_K`: by how much the motor is above ambient at its begin; `rest_A`: while it cools."""
+    """A record of `truth`; `warm_K`: by how much the motor is above ambient at first; `rest_A`: while it cools."""
     random = np.random.default_rng(seed)
     rows = round((30.0 + heating_s + cooling_s) / every_s) + 1
     t = every_s * np.arange(rows)

@@ -265,6 +265,21 @@ def test_time_that_does_not_increase(tmp_path: Path) -> None:
     assert refusal(tmp_path, mat(**variables), ".mat").startswith("element (21): time 0.0019 s")
 
 
+@pytest.mark.parametrize(("bits", "unit_s"), [(32, 1e-6), (32, 1e-3), (16, 1e-6)])
+def test_the_times_of_a_counter_go_on_where_it_begins_anew(tmp_path: Path, bits: int, unit_s: float) -> None:
+    """As of `micros()` after 72 minutes; of a counter of 16 bit that counts microseconds, after each 65.536 ms."""
+    step = max(round(DT_S / unit_s), 1)
+    counts = (2**bits - 100 * step + step * np.arange(2000)) % 2**bits
+    values = smooth(DT_S * np.arange(2000))
+    recording = load(tmp_path, csv(unit_s * counts, values))
+    np.testing.assert_allclose(recording.acceleration.values, values, atol=1e-4)
+    assert recording.acceleration.dt_s == pytest.approx(step * unit_s, rel=1e-6)
+    (note,) = (each for each in recording.notes if "begin anew" in each)
+    assert f"a counter of {bits} bit" in note
+    counts[1500] -= 40 * step  # a time that is out of order is none
+    assert "does not increase" in refusal(tmp_path, csv(unit_s * counts, values))
+
+
 @pytest.mark.parametrize("factor", [1e4, 1e-7])
 def test_time_in_the_wrong_unit(tmp_path: Path, factor: float) -> None:
     message = refusal(tmp_path, csv(factor * TIMES_S))
