@@ -35,6 +35,7 @@ from transopt.files.names import (
     apart,
     labelled,
     quote,
+    spared,
     stated_for,
     with_axes,
 )
@@ -171,7 +172,8 @@ def _from_variables(found: Channels, layout: Layout, words: Vocabulary) -> tuple
     rate = None
     if "time" in words.absent(arrays) and (rate := found.rate or rate_of([], _scalars(arrays))):
         words = words.without_times()
-    chosen = layout.columns or _chosen(arrays, words, units)
+    notes = list[str]()
+    chosen = layout.columns or spared(_chosen(arrays, words, units), words, notes)
     wanted = [name for name in untimed(chosen, layout, words) if name != SKIPPED]
     known = meanings(wanted, words, units, list(arrays), lambda: numeric(arrays))
     columns = dict[str, FloatArray]()
@@ -188,7 +190,7 @@ def _from_variables(found: Channels, layout: Layout, words: Vocabulary) -> tuple
             columns[f"{name} ({part} part)"] = np.asarray(of)
             known[f"{name} ({part} part)"] = means._replace(quantity=part)
     header = {name: _column(arrays[name], name) for name in words.header if name in arrays}
-    return RawTable(columns, known, header, found.place), rate
+    return RawTable(columns, known, header, found.place, tuple(notes)), rate
 
 
 def _chosen(arrays: Arrays, words: Vocabulary, units: Mapping[str, str]) -> list[str]:

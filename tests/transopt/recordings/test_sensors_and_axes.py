@@ -306,6 +306,22 @@ def test_a_waveform_keeps_its_start(tmp_path: Path) -> None:
     assert recording.acceleration.start_s == pytest.approx(-3e-3)
 
 
+def test_a_channel_that_nothing_is_known_of_is_passed_over_and_may_be_named(tmp_path: Path) -> None:
+    """As in a text: an acquisition card has more channels than a tap needs."""
+    channels = {
+        "Mod1/ai0": (TAP_M_S2 / G, "g"),
+        "Mod1/ai1": (-200.0 * TIMES_S, "mm"),
+        "Mod1/ai2": (0 * TIMES_S, "bar"),
+    }
+    file = tdms(channels, {"wf_increment": DT_S})
+    found = load(tmp_path, file, ".tdms")
+    assert "columns 'Mod1/ai1 [mm], Mod1/ai2 [bar]' not used: nothing here goes by such a name" in found.notes
+    np.testing.assert_allclose(found.acceleration.values, TAP_M_S2, rtol=1e-12)
+    named = load(tmp_path, file, ".tdms", units={"Mod1/ai1": "mm"})
+    assert named.position is not None
+    np.testing.assert_allclose(named.position.values, -0.2 * TIMES_S, rtol=1e-12)
+
+
 def test_a_workbook_of_several_taps_says_which_is_read(tmp_path: Path) -> None:
     head, rows = ("Time [s]", "Acc [m/s^2]"), zip(TIMES_S.tolist(), TAP_M_S2.tolist(), strict=True)
     remarks: list[tuple[object, ...]] = [("Operator", "A"), ("Sensor", "B")]
