@@ -58,7 +58,7 @@ class Measurement:
     held_out : whether the run is held out for validation and must not be fitted.
     off_grid : rms deviation of the time stamps from the uniform grid, in steps, before resampling to it.
     missing : which samples were interpolated, in one sentence; empty if none was missing.
-    notes : what of the file was left out or not used, one sentence each.
+    notes : what of the file was left out or not used, and a grip that no hand has; one sentence each.
     """
 
     name: str
@@ -176,8 +176,6 @@ def load_measurement(path: Path, layout: Layout | None = None) -> Measurement:
         idle = "".join(f"; {note}" for note in table.notes)
         known = ", ".join(WORDS.columns)
         raise InputError(f"{path}: no column but time; known: {known}{idle}; {BY_NAME}, as 'time [ms],voltage [V],-'")
-    if wrong := implausible_grip(table.scalars.get("grip", 0.0)):
-        raise InputError(f"{path}: {wrong}; correct grip_N in the file")
     return Measurement(
         name=path.name,
         source=str(path),
@@ -189,6 +187,6 @@ def load_measurement(path: Path, layout: Layout | None = None) -> Measurement:
         held_out=bool(table.scalars.get("held_out", 0.0)),
         off_grid=table.off_grid,
         missing=table.missing,
-        notes=table.notes,
+        notes=(*table.notes, *filter(None, [implausible_grip(table.scalars.get("grip", 0.0))])),
         **table.signals,
     )

@@ -41,10 +41,12 @@ def test_a_grip_of_zero_is_a_free_device(tmp_path: Path) -> None:
     assert load_measurement(tmp_path / "free.npz").grip_N == 0.0
 
 
-def test_a_grip_that_no_hand_has_is_refused(tmp_path: Path) -> None:
+def test_a_grip_that_no_hand_has_is_noted(tmp_path: Path) -> None:
     np.savez(tmp_path / "gf.npz", time_s=TIMES_S, command_A=RAMP, grip_N=300.0)
-    with pytest.raises(InputError, match=r"gf\.npz: the grip is 300 N, .* 102: N and gf\?\); correct grip_N"):
-        load_measurement(tmp_path / "gf.npz")
+    (note,) = load_measurement(tmp_path / "gf.npz").notes
+    assert note == "the grip is 300 N, a hand's 0.05 to 60 N: check the unit of the grip (a factor of 102: N and gf?)"
+    np.savez(tmp_path / "N.npz", time_s=TIMES_S, command_A=RAMP, grip_N=3.0)
+    assert load_measurement(tmp_path / "N.npz").notes == ()
 
 
 def test_slow_records_of_temperature_are_read(tmp_path: Path) -> None:
