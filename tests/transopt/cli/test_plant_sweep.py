@@ -107,7 +107,7 @@ def test_two_seconds_of_time_volts_and_g_are_a_plant_within_one_percent(run: Run
 
 
 def test_a_random_binary_sequence_is_no_clipped_sensor(run: Run) -> None:
-    """Its voltage is at an extreme all the time, as a generator or an H-bridge puts it out."""
+    """A generator or an H-bridge puts out a voltage that is at an extreme all the time."""
     actuator, random, rate_Hz = Actuator(), np.random.default_rng(114), 1e4
     volts = np.repeat(random.choice([-1.0, 1.0], 5000), 4)
     volts[:200] = volts[-3000:] = 0.0

@@ -267,7 +267,7 @@ def test_time_that_does_not_increase(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("bits", "unit_s"), [(32, 1e-6), (32, 1e-3), (16, 1e-6)])
 def test_the_times_of_a_counter_go_on_where_it_begins_anew(tmp_path: Path, bits: int, unit_s: float) -> None:
-    """As of `micros()` after 72 minutes; of a counter of 16 bit that counts microseconds, after each 65.536 ms."""
+    """`micros()` begins anew after 72 minutes, a counter of 16 bit that counts microseconds after each 65.536 ms."""
     step = max(round(DT_S / unit_s), 1)
     counts = (2**bits - 100 * step + step * np.arange(2000)) % 2**bits
     values = smooth(DT_S * np.arange(2000))

@@ -307,7 +307,7 @@ def test_a_waveform_keeps_its_start(tmp_path: Path) -> None:
 
 
 def test_a_channel_that_nothing_is_known_of_is_passed_over_and_may_be_named(tmp_path: Path) -> None:
-    """As in a text: an acquisition card has more channels than a tap needs."""
+    """An acquisition card has more channels than a tap needs."""
     channels = {
         "Mod1/ai0": (TAP_M_S2 / G, "g"),
         "Mod1/ai1": (-200.0 * TIMES_S, "mm"),
