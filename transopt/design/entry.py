@@ -167,6 +167,7 @@ class Entry(Answered):
                 designed.solution.multipliers,
                 designed.unlimited_command,
                 self.options,
+                objective=self.objective,
                 effect=designed.effect,
             )
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.base.writing import percent, rounded_up
-from transopt.design.optimum import seek
+from transopt.design.intensity import best
 from transopt.library.library import Library
 from transopt.problem.answer import Multipliers, Status
 from transopt.problem.leave_out import leave_out
@@ -161,21 +161,26 @@ class _Answer:
     binding: dict[str, float]
 
 
-def _solved(problem: TransientProblem, options: SolverOptions, unlimited: Effect) -> Search[_Answer | None]:
+def _solved(
+    problem: TransientProblem, options: SolverOptions, unlimited: Effect, objective: str
+) -> Search[_Answer | None]:
     """Search for the optimum; None if it is not certified in the way that an entry of a library has to be.
 
     Parameters
     ----------
     unlimited : effect of an approximate unlimited optimum; it decides whether the unlimited problem is tried first.
+    objective : of the scene. For intensity the search finds lam anew, for the worst device the shares: those of one
+        limit are not those of another.
     """
     small = leave_out(problem).problem
-    if small.wall is None and small.thermal is None and not small.nonlinear:
+    searched = objective == "intensity" or problem.worst
+    if not searched and small.wall is None and small.thermal is None and not small.nonlinear:
         found = (yield from _without_limits(small)) if _nearly_inside(unlimited.of(small)) else None
         answer, proof, effect = found or (yield Ask(solve_certified, small, (options,)))
         certified = answer.status is Status.OPTIMAL and proof.accepted
     else:
-        # `seek` also finds the ticks at which the wall pushes, and drops the temperature limit if it does not bind.
-        designed = yield from seek(problem, options)
+        # It also finds the ticks at which the wall pushes, and drops the temperature limit if it does not bind.
+        designed = yield from best(problem, options, objective=objective)
         small, answer, effect = designed.problem, designed.solution, designed.effect
         bent = any(name != TemperatureLimit.name for name in problem.nonlinear)
         certified = designed.is_proven and (designed.certificate.accepted or bent)
@@ -211,12 +216,14 @@ class _Pricing:
     ----------
     unlimited : effect of the entry's unlimited optimum.
     tap_error : tap error of the entry's own optimum.
+    objective : of the scene, "waveform" or "intensity".
     """
 
     problem: TransientProblem
     unlimited: Effect
     tap_error: float
     options: SolverOptions
+    objective: str
 
     def price(self, limit: Limit) -> Search[Price]:
         step = price_step(limit)
@@ -249,7 +256,10 @@ class _Pricing:
         return _excess(answer.effect.of(self.problem), limit)
 
     def _raised(self, limit: Limit, by: float) -> Search[_Answer | None]:
-        return _solved(self.problem.replaced(limit.raised(by)), self.options, self.unlimited)
+        return self._optimum(self.problem.replaced(limit.raised(by)))
+
+    def _optimum(self, problem: TransientProblem) -> Search[_Answer | None]:
+        return _solved(problem, self.options, self.unlimited, self.objective)
 
     def _keeps(self, limit: Limit, by: float, without: _Answer) -> Search[bool]:
         """Whether the optimum `without` a limit is certified as the optimum with the limit raised by `by`.
@@ -258,14 +268,16 @@ class _Pricing:
         """
         if limit.scales_movement:
             return False
-        raised = without.effect.of(self.problem.replaced(limit.raised(by)))
+        found = without.effect.problem
+        own = replace(self.problem, intensity=found.intensity, shares=found.shares)
+        raised = without.effect.of(own.replaced(limit.raised(by)))
         proof = yield Ask(certificates, (raised, without.multipliers))
         return proof.accepted and inside(raised.problem, raised.command, only=limit.name, effect=raised)
 
     def _out_of_the_way(self, limit: Limit) -> Search[tuple[_Answer | None, float]]:
         """The optimum without a limit, or with a bound so wide that it does not bind, and that bound."""
         if not limit.indispensable:
-            return (yield from _solved(self.problem.without(limit.name), self.options, self.unlimited)), np.inf
+            return (yield from self._optimum(self.problem.without(limit.name))), np.inf
         needed = limit.stated + max(_excess(self.unlimited, limit), 0.0)
         for ample in AMPLE:
             answer = yield from self._raised(limit, ample * needed - limit.stated)
@@ -328,31 +340,32 @@ def prices(
     unlimited: FloatArray,
     options: SolverOptions,
     *,
+    objective: str = "waveform",
     effect: Effect | None = None,
 ) -> list[Price]:
     """Price of every binding limit, the most expensive first; empty if no limit binds.
 
     Each price takes two to four further optima: with the limit raised by a step, with the limit out of the way, and
     at the bound that is then estimated as sufficient. The other limits stay unchanged. An optimum that is the
-    unlimited one takes one linear solve, and an optimum that is already known only a proof. If the objective is the
-    worst of several devices, the mean with their present shares is used: to first order the two fall alike.
+    unlimited one takes one linear solve, and an optimum that is already known only a proof. Where intensity has a
+    price or the worst of several devices counts, each of them is a search of its own.
 
     Parameters
     ----------
     command, multipliers : the certified optimum, (N,), with its multipliers.
     unlimited : (N,) the unlimited optimum.
+    objective : of the scene, "waveform" or "intensity".
     effect : effect of the certified optimum in this problem, if it is known already.
     """
     if problem.reference_is_zero:
         return []
-    problem = replace(problem, worst=False)
-    effect = Effect(problem, command) if effect is None else effect.of(problem)
+    effect = effect or Effect(problem, command)
     binds = binding(problem, command, multipliers, effect=effect)
     if not binds:
         return []
     error = problem.yardstick.tap_error(problem.target, effect.motion.acceleration_m_s2)
     trials = TrialOptions(options.solver, options.tolerance, options.max_iterations)
-    pricing = _Pricing(problem, Effect(problem, unlimited), error, trials)
+    pricing = _Pricing(problem, Effect(problem, unlimited), error, trials, objective)
     found = together([pricing.price(limit) for limit in problem.limits if limit.name in binds])
     return sorted(found, key=lambda price: np.inf if np.isnan(price.then) else price.then)
 
@@ -361,6 +374,7 @@ def library_prices(library: Library, iv: int, ig: int) -> list[Price]:
     """Prices of an entry of a library file; empty on a nonlinear plant, whose answer is not a proven optimum."""
     if library.nonlinear:
         return []
-    problem = library.problem(iv, ig)
+    problem, objective = library.problem(iv, ig), library.posing().objective
     free = solve_unlimited([problem.without_intensity()])[0].command
-    return prices(problem, library.command[iv, ig], library.multipliers(iv, ig), free, SolverOptions())
+    answer = library.command[iv, ig], library.multipliers(iv, ig)
+    return prices(problem, *answer, free, SolverOptions(), objective=objective)

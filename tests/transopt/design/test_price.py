@@ -15,7 +15,7 @@ from transopt.base.writing import percent
 from transopt.design.build import Build, build_library
 from transopt.design.context import Context
 from transopt.design.optimum import optimum
-from transopt.design.price import Price, binding, price_step, prices
+from transopt.design.price import Price, binding, library_prices, price_step, prices
 from transopt.problem.answer import Status
 from transopt.problem.heat import Budget
 from transopt.problem.limits.current import CurrentLimit
@@ -167,6 +167,37 @@ def test_the_slope_of_an_entry_is_what_a_small_step_buys(build: Build, taps: lis
     assert set(hardest.slopes) == {"current", "command"}
     assert bought == pytest.approx(hardest.slopes["current"] * step_A, rel=0.01)
     assert build.entries[0][0].slopes == {}
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        {"weights.objective": "intensity"},
+        {"robust.grip_spread": 0.2, "robust.samples": 3, "robust.minimise": "worst"},
+    ],
+    ids=["intensity", "worst"],
+)
+def test_where_the_objective_takes_a_search_another_limit_has_its_own(
+    scene: Scene, taps: list[Recording], asked: dict[str, object]
+) -> None:
+    """With 4 A at 0.4 m/s and 5 N the price of intensity, or the worst of the devices, is another than with more.
+
+    The energy is met within 0.01 dB, which leaves the error some hundredths of a percent.
+    """
+    fast = [tap for tap in taps if abs(tap.speed_m_s / 0.4 - 1) < 0.1]
+    place = with_values(scene, {"grid.speeds_m_s": [0.4], "grid.grips_N": [5.0], **asked})
+
+    def at(limit_A: float) -> Build:
+        return build_library(with_values(place, {"limits.current_A": limit_A}), fast)
+
+    now = at(4.0)
+    [price] = [each for each in now.entries[0][0].prices if each.limit == "current"]
+    for limit_A, told in ((price.bound + price.step, price.then), (price.enough, price.there)):
+        [[truly]] = at(limit_A).entries
+        assert told == pytest.approx(truly.figures.tap_error, abs=1e-3)
+    assert "current" not in truly.slopes
+    [again] = [each for each in library_prices(now.library, 0, 0) if each.limit == "current"]
+    assert (again.then, again.there) == pytest.approx((price.then, price.there), abs=1e-3)
 
 
 def test_limits_along_a_command(build: Build) -> None:
