@@ -125,7 +125,7 @@ class Build:
 
         Returns
         -------
-        One result for each point, sorted by grip: `optimum` is the tap error of the optimum there and `after` that of
+        One result for each point, in their order: `optimum` is the tap error of the optimum there and `after` that of
         the blend, both replayed. `before` equals `after`, since there is only one grid.
 
         Raises

@@ -239,7 +239,7 @@ class Errors:
                 for point, each in zip(part, self._replayed(part, grip, spot, before, after), strict=True):
                     if point not in found or each.excess_after > found[point].excess_after:
                         found[point] = each
-        return [*found.values()]
+        return [found[point] for point in points]
 
     def _replayed(self, part: list[Point], grip: float, spot: Spot, before: Nodes, after: Nodes) -> list[OffNode]:
         """Replay optimum and both blends at points of one device."""

@@ -122,6 +122,11 @@ class TestBetweenTheNodes:
         blended = library.at(0.4, 4.0).command
         assert exact.problem.objective(blended, exact.problem.accelerations(blended)) > exact.certificate.objective
 
+    def test_each_point_has_its_result_in_the_order_asked(self, build: Build) -> None:
+        """Points of one grip are replayed side by side; who reads them one after the other must not notice."""
+        asked = [(0.3, 5.0), (0.2, 1.0), (0.1, 5.0), (0.2, 1.0)]
+        assert [(each.speed_m_s, each.grip_N) for each in build.between_nodes(asked)] == asked
+
     @pytest.mark.parametrize("point", [(0.05, 3.0), (0.5, 3.0), (0.2, 0.9), (0.2, float("nan"))])
     def test_a_point_outside_is_refused(self, build: Build, point: tuple[float, float]) -> None:
         with pytest.raises(InputError, match=r"between_nodes: .* outside of the nodes"):
