@@ -205,9 +205,9 @@ class Online:
         winding_C, housing_C : measured temperatures at the start; default: the library's own. Without a housing
             temperature the library's is used, lowered to the winding's if that is colder.
         limits : values in place of the library's own, by the keys of a scene's `limits`, `command_A` for the
-            amplifier's range and `temperature_C` for the winding. Without a certified optimum the blend is then
-            played only if it keeps these limits; otherwise nothing. Nothing is played on a winding above its limit
-            or at a measured temperature that no motor has.
+            amplifier's range and `temperature_C` for the winding. Without a certified optimum the blend is
+            played only if it keeps all limits from the measured temperatures on; otherwise nothing. Nothing is played
+            on a winding above its limit or at a measured temperature that no motor has.
 
         Raises
         ------
@@ -257,9 +257,9 @@ class Online:
             wave = self._library.blend(place)
             if problem is None:  # the coil is too hot at the start, or not known
                 wave = _silent(wave)
-            elif limits and not inside(problem, wave.command):
+            elif not inside(problem, wave.command):
                 wave = _silent(wave)
-                found = f"{found}; nothing is played, for the library's blend leaves these limits"
+                found = f"{found}; nothing is played, for the library's blend leaves the limits"
             return wave, None, found
         problem, answer = found
         transient = problem.transient_command(answer.command)

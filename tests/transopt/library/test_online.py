@@ -117,6 +117,16 @@ class TestHeat:
         assert hot.winding_C > coil.limit_C + 0.01
         assert not cool.shortfalls(problem, commands[0], problem.stage.rollout(commands[0])[0])
 
+    @pytest.mark.parametrize(("winding_C", "housing_C"), [(100.0, 100.0), (99.99, 120.0)])
+    def test_a_coil_that_no_command_keeps_below_its_limit_has_nothing_played(
+        self, library: Library, solver: Online, winding_C: float, housing_C: float
+    ) -> None:
+        """The ripple's current or the housing alone heats it; the whole blend took the winding to 100.5 C."""
+        tap = solver.solve(0.4, 5.0, winding_C, housing_C)
+        assert tap.remark == "no certified optimum; nothing is played, for the library's blend leaves the limits"
+        assert tap.wave.silent
+        assert not tap.wave.command.any()
+
     @pytest.mark.parametrize("start_C", [99.5, 99.97])
     def test_which_problem_comes_first_changes_no_answer(
         self, solver: Online, monkeypatch: pytest.MonkeyPatch, start_C: float
@@ -298,7 +308,7 @@ class TestOtherLimits:
         tight, loose = (solver.solve(0.4, 5.0, limits={"current_A": limit}) for limit in (3.0, 4.5))
         assert tight.wave.silent
         assert not tight.wave.command.any()
-        assert tight.remark == "no certified optimum; nothing is played, for the library's blend leaves these limits"
+        assert tight.remark == "no certified optimum; nothing is played, for the library's blend leaves the limits"
         assert loose.remark == "no certified optimum"
         np.testing.assert_array_equal(loose.wave.command, library.at(0.4, 5.0).command)
 
