@@ -365,7 +365,8 @@ def acting_states(
     """(n,) mask of the states on which acceleration and motor velocity depend, by the structure of the matrices.
 
     The position of a free device only integrates its velocity, so it is not among them unless `position` is set or an
-    output needs it.
+    output needs it. A free mass under a force has no state that matters; the one that grows least is kept then, since
+    a stage has at least one.
     """
     rows = [plant.C, plant.Cv, *([plant.Ce] if position else []), *outputs]
     acting: NDArray[np.bool_] = (np.concatenate(rows) != 0).any(axis=0)
@@ -373,8 +374,11 @@ def acting_states(
     while True:
         more = acting | by[acting].any(axis=0)
         if (more == acting).all():
-            return acting
+            break
         acting = more
+    if not acting.any():
+        acting[plant.A.diagonal().argmin()] = True
+    return acting
 
 
 def discretise(

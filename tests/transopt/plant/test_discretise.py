@@ -10,17 +10,22 @@ from tests.conftest import ProblemMaker
 from transopt.base.matrices import powers
 from transopt.base.signals import FloatArray, nrmse
 from transopt.design.build import build_library
+from transopt.design.solve import solve
 from transopt.design.verify import verify_library
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.chain import Link, chain
 from transopt.plant.discretise import Motion, discretise
 from transopt.plant.scaling import state_scale
+from transopt.plant.state_space import Input, StateSpace
 from transopt.plant.time_grid import TimeGrid
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.continuous import accurate
 from transopt.proof.replay import replay
 from transopt.recordings.recording import Recording
+from transopt.scene.builtin import load_scene
+from transopt.scene.file import with_plant
+from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 
 
@@ -166,6 +171,17 @@ def test_states_that_nothing_depends_on_are_left_out(scene: Scene) -> None:
     predicted, _ = stage.rollout(command)
     (played,) = replay(stage, grid, command[None], [Target(predicted)], None)
     assert nrmse(played.acceleration_m_s2, predicted) < 1e-11
+
+
+def test_a_free_mass_under_a_force_is_solved_and_verified() -> None:
+    """Its acceleration is its input at once, so that none of its states matters."""
+    bare = {f"limits.{key}": None for key in ("stroke_m", "velocity_m_s", "current_A")}
+    few = {"time.dt_s": 2e-4, "time.stages": 300, "weights.after_s": 0.0}
+    shaker = with_values(load_scene("shaker_pulse"), {**bare, **few, "amplifier": "ideal"})
+    A, B, force = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [100.0]]), np.array([[100.0]])
+    library = solve(with_plant(shaker, StateSpace(A, B, np.zeros((1, 2)), force, driven_by=Input("voltage", "V"))))
+    np.testing.assert_allclose(force[0, 0] * library.command[:, 0], library.target_m_s2[:, 0], atol=1e-3)
+    assert all(not check.shortfalls for check in verify_library(library))
 
 
 def test_free_device_is_solved_and_verified(scene: Scene, taps: list[Recording]) -> None:
