@@ -30,7 +30,8 @@ from transopt.design.entry import Entry
 from transopt.design.nodes import Interval, Nodes, Point, shares, spots
 from transopt.problem.answer import Certificate, Status
 from transopt.problem.objective.target import normal
-from transopt.proof.replay import replayed_figures
+from transopt.proof.continuous import Loop, accurate
+from transopt.proof.replay import figures_of
 from transopt.recordings.recording import Recording
 from transopt.scene.scene import Scene
 from transopt.scene.sections import Grid
@@ -209,12 +210,14 @@ class Errors:
         best = self._energy(self.optimum(point, spot).predicted_m_s2)
         return 10 * float(np.log10(max(self._energy(acceleration_m_s2) / best, TINY))) if best > 0 else 0.0
 
-    def blend(self, nodes: Nodes, point: Point, spot: Spot = None) -> FloatArray:
-        """(N,) linear blend of the node commands, equal to that of `Library.at`."""
+    def blend(self, nodes: Nodes, point: Point, spot: Spot = None, *, transient: bool = False) -> FloatArray:
+        """(N,) linear blend of the node commands, or of their transients, equal to that of `Library.at`."""
         by_speed, by_grip = (shares(i, value) for i, value in zip(nodes.cell(point), point, strict=True))
         blended = np.zeros_like(self.optimum(point, spot).solution.command)
         for (v, a), (F, b), (at, c) in itertools.product(by_speed, by_grip, self._spots[spot]):
-            blended += a * b * c * self.optimum((v, F), at).solution.command
+            node = self.optimum((v, F), at)
+            command = node.solution.command
+            blended += a * b * c * (node.problem.transient_command(command) if transient else command)
         return blended
 
     def excess(self, nodes: Nodes, points: Iterable[Point]) -> dict[Point, float]:
@@ -242,20 +245,25 @@ class Errors:
         return [found[point] for point in points]
 
     def _replayed(self, part: list[Point], grip: float, spot: Spot, before: Nodes, after: Nodes) -> list[OffNode]:
-        """Replay optimum and both blends at points of one device."""
+        """Replay optimum and both blends at points of one device, over a wall with the feedback of each replay."""
         entries = [self.optimum(point, spot) for point in part]
         commands = np.stack(
             [
                 command
                 for point, own in zip(part, entries, strict=True)
-                for command in (own.solution.command, *(self.blend(nodes, point, spot) for nodes in (before, after)))
+                for command in (
+                    own.problem.transient_command(own.solution.command),
+                    *(self.blend(nodes, point, spot, transient=True) for nodes in (before, after)),
+                )
             ]
         )
         device = self.context.stage(grip, spot)
         # The coil is not simulated: heating is convex, so a blend heats at most as much as the blended heatings.
         wanted = [self.context.reference(*point).target for point in part for _ in range(3)]
-        figures = replayed_figures(device, self.context.yardstick, commands, wanted)
-        moved, _ = device.rollout(commands)
+        walls = [own.problem.wall for own in entries for _ in range(3) if own.problem.wall is not None]
+        course = accurate(device, self.context.yardstick.grid, commands, Loop(walls, 0.0) if walls else None)
+        figures = figures_of(course, self.context.yardstick, wanted)
+        moved = course.accelerations[..., : commands.shape[-1]]
         found = []
         for j, point in enumerate(part):
             optimum, *blended = (each.tap_error for each in figures[3 * j : 3 * j + 3])

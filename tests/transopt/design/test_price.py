@@ -180,7 +180,7 @@ def test_the_slope_of_an_entry_is_what_a_small_step_buys(build: Build, taps: lis
 def test_where_the_objective_takes_a_search_another_limit_has_its_own(
     scene: Scene, taps: list[Recording], asked: dict[str, object]
 ) -> None:
-    """With 4 A at 0.4 m/s and 5 N the price of intensity, or the worst of the devices, is another than with more.
+    """A wider limit changes the price of intensity, and the worst of the devices, at 0.4 m/s and 5 N.
 
     The energy is met within 0.01 dB, which leaves the error some hundredths of a percent.
     """

@@ -15,13 +15,15 @@ from transopt.design.refine_grid import OffNode, Refinement, lacking, refine_gri
 from transopt.design.verify import verify_library
 from transopt.library.file import load_library
 from transopt.library.library import Library
+from transopt.proof.replay import replayed
 from transopt.recordings.recording import Recording
 from transopt.references.references import References
 from transopt.report.markdown import build_markdown
 from transopt.report.report_json import build_json
 from transopt.report.tables import refinement_summary
+from transopt.scene.builtin import load_scene
 from transopt.scene.keys import with_values
-from transopt.scene.recordings import references_of
+from transopt.scene.recordings import recordings_of, references_of
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 from transopt.solvers.options import SolverOptions
@@ -121,6 +123,17 @@ class TestBetweenTheNodes:
         # The blend may be nearer to the tap as it is: what it cannot have is a smaller J.
         blended = library.at(0.4, 4.0).command
         assert exact.problem.objective(blended, exact.problem.accelerations(blended)) > exact.certificate.objective
+
+    def test_over_a_wall_the_feedback_is_that_of_the_motion_between(self) -> None:
+        """A device blends the transients and adds its own feedback; the blend of total commands is another motion."""
+        walled = with_grid(load_scene("walled"), [0.25], [1.0, 5.0])
+        build = build_library(walled, recordings_of(walled))
+        [point] = build.between_nodes([(0.25, 2.0)])
+        problem, played = build.context.posed(0.25, 2.0).problem, build.library.at(0.25, 2.0)
+        [alone] = replayed([problem], played.transient_command[None])
+        assert point.after == pytest.approx(alone.figures.tap_error, abs=1e-9)
+        moved, _ = problem.stage.rollout(played.command)
+        assert abs(problem.tap_error(moved) - point.after) > 1e-3
 
     def test_each_point_has_its_result_in_the_order_asked(self, build: Build) -> None:
         """Points of one grip are replayed side by side; who reads them one after the other must not notice."""

@@ -174,7 +174,7 @@ def test_states_that_nothing_depends_on_are_left_out(scene: Scene) -> None:
 
 
 def test_a_free_mass_under_a_force_is_solved_and_verified() -> None:
-    """Its acceleration is its input at once, so that none of its states matters."""
+    """The force alone is the acceleration, so that none of the states matters."""
     bare = {f"limits.{key}": None for key in ("stroke_m", "velocity_m_s", "current_A")}
     few = {"time.dt_s": 2e-4, "time.stages": 300, "weights.after_s": 0.0}
     shaker = with_values(load_scene("shaker_pulse"), {**bare, **few, "amplifier": "ideal"})
