@@ -161,10 +161,18 @@ class Replay:
 
 
 def replayed_figures(
-    stage: StageModel, yardstick: Yardstick, commands: FloatArray, targets: Sequence[Target]
+    stage: StageModel,
+    yardstick: Yardstick,
+    commands: FloatArray,
+    targets: Sequence[Target],
+    walls: Sequence[HandOver] = (),
 ) -> list[Figures]:
-    """Figures of M commands (M, N), or (M, m, N), relative to their targets, by the same simulation as `replay`."""
-    return figures_of(accurate(stage, yardstick.grid, commands, None), yardstick, targets)
+    """Figures of M commands (M, N), or (M, m, N), relative to their targets, by the same simulation as `replay`.
+
+    Over walls, one a tap, the commands are transients, to which the simulation adds each wall's feedback.
+    """
+    loop = Loop(walls, 0.0) if walls else None
+    return figures_of(accurate(stage, yardstick.grid, commands, loop), yardstick, targets)
 
 
 def figures_of(simulated: Course, yardstick: Yardstick, targets: Sequence[Target]) -> list[Figures]:

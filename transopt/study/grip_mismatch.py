@@ -38,11 +38,15 @@ class Played:
 
 
 def _errors_at(errors: Errors, scene: Scene, grip: float, speed: float, grips: Sequence[float]) -> list[float]:
-    """Tap errors at one grip of the commands made for each of `grips`."""
-    commands = np.stack([errors.optimum((speed, F)).solution.command for F in grips])
-    wanted = [errors.context.reference(speed, grip).target] * len(grips)
-    yardstick = errors.context.yardstick
-    return [each.tap_error for each in replayed_figures(errors.context.stage(grip), yardstick, commands, wanted)]
+    """Tap errors at one grip of the transients made for each of `grips`; a wall adds the feedback of this grip."""
+    made = [errors.optimum((speed, F)) for F in grips]
+    transients = np.stack([each.problem.transient_command(each.solution.command) for each in made])
+    own, context = errors.optimum((speed, grip)).problem, errors.context
+    walls = [] if own.wall is None else [own.wall] * len(grips)
+    wanted = [context.reference(speed, grip).target] * len(grips)
+    return [
+        each.tap_error for each in replayed_figures(context.stage(grip), context.yardstick, transients, wanted, walls)
+    ]
 
 
 def mismatch(

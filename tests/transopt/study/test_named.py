@@ -10,6 +10,7 @@ import pytest
 from matplotlib import image
 
 import problems
+import transopt
 from tests.benches.study import read, serial
 from transopt.base.errors import InputError
 from transopt.base.writing import percent
@@ -181,6 +182,19 @@ class TestNamed:
         assert own[3.0, 1.0].excess > 0.005
         assert "made for 3 N" not in mismatch_sentence(found)
         assert "at 1 N" in mismatch_sentence(found)
+
+    def test_a_blind_grip_over_a_wall_has_the_feedback_of_the_hand_there(self) -> None:
+        """The total command is the one whose transient, by the stage model at that grip, is the one that was made."""
+        scene = at(problems.load("walled"), [0.2], [1.0, 3.0])
+        found, _ = mismatch(scene)
+        made, own = transopt.build(scene).entries[0]
+        transient, there = made.problem.transient_command(made.solution.command), own.problem
+        command = transient
+        for _ in range(20):  # the feedback is small and late: each pass takes off most of what is missing
+            command = command + transient - there.transient_command(command)
+        (blind,) = (p for p in found if (p.made_for_N, p.played_at_N) == (1.0, 3.0))
+        moved = there.stage.motion(command).acceleration_m_s2
+        assert blind.tap_error == pytest.approx(there.yardstick.tap_error(there.target, moved), rel=1e-6)
 
     def test_finer_grids_err_less(self, short: Scene) -> None:
         found, optima = spacing(
