@@ -184,6 +184,8 @@ def need_hardware(settings: Settings, hello: HelloReply) -> None:
         for off in (-s.amplifier_tolerance, s.amplifier_tolerance):
             pole_Hz = amplifier.pole_Hz * (1 + off)
             asked.append(("amplifier.pole_Hz", pole_Hz, hello.pole_least_Hz, hello.pole_most_Hz, "Hz"))
+    if hello.has_coil and settings.coil is not None:
+        asked.append(("motor.winding_max_C", settings.coil.limit_C, 0.0, hello.limit_C, "C"))
     for name, value, low, high, unit in asked:
         if not low <= value <= high * (1 + ROUNDED):
             allowed = f"up to {high:g}" if low == 0 else f"{low:g} to {high:g}"

@@ -8,7 +8,7 @@ import pytest
 
 from controller.protocol import messages as m
 from controller.protocol.capacity import REST_BETWEEN_PULSES_S
-from controller.protocol.codes import EVENT_CODES, EVENTS, Kind, Reason, Stage
+from controller.protocol.codes import EVENT_CODES, EVENTS, REASONS, Kind, Reason, Stage
 from controller.protocol.configuration import configuration_of
 from controller.protocol.image import HEADER as IMAGE_HEADER
 from controller.protocol.image import IMAGE_FIELDS, image_of, sha256
@@ -333,6 +333,26 @@ def test_a_configuration_that_states_a_cold_coil_does_not_cool_the_devices_own(s
     look = talker.device.look()
     assert (look.winding_C, look.housing_C) == pytest.approx((97.0, 85.0), abs=0.1)
     assert talker.refused(arm(cold, ONE_WAVEFORM)) is Reason.TOO_HOT
+
+
+def test_a_host_that_states_cooler_surroundings_plays_nothing_that_the_hardware_would_cut(start: Start) -> None:
+    warm = replace(HARDWARE, ambient_C=96.0, tau_w_s=0.05, tau_h_s=0.2)
+    stated = replace(EXCITED, coil=replace(COIL, ambient_C=25.0))
+    talker = (
+        Talker(start(hardware=warm, heat_C=(25.0, 25.0))).configured(configuration_of(stated)).loaded(ONE_WAVEFORM)
+    )
+    talker.done(arm(stated, ONE_WAVEFORM))
+    Plant(talker).step(30_000)  # until it rests
+    talker.heard()
+    assert talker.device.look().winding_C == pytest.approx(96.0, abs=1.0)
+    assert talker.refused(m.Start(0)) is Reason.TOO_HOT
+
+
+def test_no_coil_may_be_hotter_than_the_hardwares(start: Start) -> None:
+    talker = Talker(start())
+    other = replace(EXCITED, coil=replace(COIL, limit_C=100.1))
+    assert isinstance(refused := talker.configure(configuration_of(other)), m.Refused)
+    assert (REASONS[refused.reason], refused.value) == (Reason.BEYOND_HARDWARE, 100.1)
 
 
 def test_three_stops_have_three_names(start: Start) -> None:

@@ -131,6 +131,7 @@ static double beyond(const double *n, const td_hardware *hardware)
 {
     const double amplifier = n[TD_CFG_AMPLIFIER_SCALE], monitor = n[TD_CFG_MONITOR_SCALE];
     const bool driven = n[TD_CFG_HAS_AMPLIFIER] > 0, walled = n[TD_CFG_HAS_WALL] > 0;
+    const bool heated = n[TD_CFG_HAS_COIL] > 0 && hardware->has_coil;
     const double asked[][2] = {
         {n[TD_CFG_WINDOW_TICKS], TD_MAX_WINDOW_TICKS},
         {n[TD_CFG_ENCODER_LIMIT_COUNTS], TD_ENCODER_MOST_COUNTS},
@@ -145,6 +146,7 @@ static double beyond(const double *n, const td_hardware *hardware)
         {driven ? -n[TD_CFG_AMPLIFIER_POLE_HZ] * (1 - n[TD_CFG_AMPLIFIER_TOLERANCE]) : -(double)INFINITY,
          -hardware->pole_least_Hz},
         {to_hardware(n[TD_CFG_OVER_CURRENT] * n[TD_CFG_CURRENT_LIMIT_A], monitor), hardware->over_current_A},
+        {heated ? n[TD_CFG_COIL_LIMIT_C] : 0, heated ? hardware->limit_C : 0},
     };
     size_t j;
 

@@ -15,6 +15,9 @@ typedef struct {
 
 void td_guard_start(td_guard *guard, const td_coil *coil);
 
+/* Be no colder than another estimate. */
+void td_guard_warm(td_guard *guard, const td_guard *other);
+
 /* One tick with this current [A], which must be finite. */
 void td_guard_step(td_guard *guard, const td_coil *coil, td_real current_A);
 

@@ -61,14 +61,7 @@ static td_refusal need_gain(const td_device *device, double gain)
     return gain >= 0 && gain <= most ? td_granted : td_refuse(TD_REASON_BAD_VALUE, gain);
 }
 
-/* A new configuration does not cool the coil. */
-static void stay_warm(td_guard *guard, const td_guard *before)
-{
-    guard->winding_C = guard->winding_C > before->winding_C ? guard->winding_C : before->winding_C;
-    guard->housing_C = guard->housing_C > before->housing_C ? guard->housing_C : before->housing_C;
-}
-
-/* Nor does it stop the current. */
+/* A new configuration does not stop the current. */
 static void flow_on(td_device *device)
 {
     const td_real scale = device->store.config.calibration.amplifier_scale;
@@ -100,10 +93,11 @@ static td_refusal configure_commit(td_device *device, const uint8_t *sha256)
     td_servo_start(&device->servo, &device->store.config, td_store_bank(&device->store));
     device->settled_ticks = 0;
     flow_on(device);
+    /* Nor does it cool the coil. */
     if (was)
-        stay_warm(&device->servo.guard, &before);
+        td_guard_warm(&device->servo.guard, &before);
     if (device->ring.coil.present)
-        stay_warm(&device->servo.guard, &device->ring.guard);
+        td_guard_warm(&device->servo.guard, &device->ring.guard);
     return td_granted;
 }
 
