@@ -106,7 +106,10 @@ class ConfigureCommit(Packed):
 
 @message(Kind.UPLOAD_BEGIN)
 class UploadBegin(Packed):
-    """Begin the upload of a library image (see `image`), or resume that of the same image after an interruption."""
+    """Begin the upload of a library image (see `image`), or resume that of the same image after an interruption.
+
+    What was cut off is forgotten once another session asks for TELEMETRY.
+    """
 
     length: U32
     sha256: Hash

@@ -128,13 +128,14 @@ class Talker:
 
     def __init__(self, device: ProbedDevice | None = None) -> None:
         self.device = started(7) if device is None else device
-        self.decoder, self.sequence, self.tick, self.host_us = Decoder(), 1, 0, 0
+        self.decoder, self.sequence, self.tick, self.host_us, self.session = Decoder(), 1, 0, 0, 9
         self.put(m.Hello(m.MAGIC, m.PROTOCOL, 5))
 
-    def put(self, message: Packed, *, sequence: int | None = None, session: int = 9) -> list[Packed]:
+    def put(self, message: Packed, *, sequence: int | None = None, session: int | None = None) -> list[Packed]:
         """What it answers."""
         number = self.sequence if sequence is None else sequence
-        self.device.receive(encode(m.Frame(number, session, message).payload()))
+        of = self.session if session is None else session
+        self.device.receive(encode(m.Frame(number, of, message).payload()))
         return self.heard()
 
     def lease(self) -> m.Lease:

@@ -146,6 +146,22 @@ def test_while_a_library_is_arriving_nothing_is_recorded_into_it(bench: Talker) 
     assert bench.device.image() == other
 
 
+def test_an_upload_that_was_cut_off_is_resumed_until_another_session_wants_records(bench: Talker) -> None:
+    other = image(samples=70)
+    begin, cut = m.UploadBegin(len(other), sha256(other)), m.Data(0, other[:300])
+    bench.tell(begin, cut)
+    bench.put(m.Hello(m.MAGIC, m.PROTOCOL, 6), session=10)
+    bench.session = 10
+    bench.done(m.Telemetry(0, 0))
+    assert bench.ask(begin) == m.UploadReady(300)
+    bench.put(m.Hello(m.MAGIC, m.PROTOCOL, 7), session=11)
+    bench.session = 11
+    bench.done(m.Telemetry(1, 0))
+    run(bench, KEPT + 500)
+    assert numbers(bench.heard()) == list(range(KEPT))
+    assert bench.ask(begin) == m.UploadReady(0)
+
+
 def test_a_library_plays_while_the_memory_of_the_next_is_full_of_records(bench: Talker) -> None:
     bench.done(m.Telemetry(1, 0))
     run(bench, KEPT + 10)

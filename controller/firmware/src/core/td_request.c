@@ -292,6 +292,14 @@ static td_refusal begin(td_device *device, const uint8_t *body)
     return found;
 }
 
+static td_refusal record(td_device *device, uint16_t every, uint16_t before)
+{
+    uint8_t *lent = every > 0 ? td_store_spare(&device->store) : NULL;
+
+    td_records_restart(&device->records, every, before, lent, TD_MAX_IMAGE_BYTES);
+    return td_granted;
+}
+
 td_refusal td_request(td_device *device, uint8_t kind, const uint8_t *body, size_t size)
 {
     switch (kind) {
@@ -316,9 +324,7 @@ td_refusal td_request(td_device *device, uint8_t kind, const uint8_t *body, size
     case TD_KIND_GAIN:
         return change_gain(device, td_get_f64(body + TD_GAIN_GAIN));
     case TD_KIND_TELEMETRY:
-        td_records_restart(&device->records, td_get_u16(body + TD_TELEMETRY_EVERY),
-                           td_get_u16(body + TD_TELEMETRY_BEFORE), td_store_spare(&device->store), TD_MAX_IMAGE_BYTES);
-        return td_granted;
+        return record(device, td_get_u16(body + TD_TELEMETRY_EVERY), td_get_u16(body + TD_TELEMETRY_BEFORE));
     case TD_KIND_PULSE:
         return pulse(device, td_get_f64(body + TD_PULSE_CURRENT_A), td_get_u16(body + TD_PULSE_TICKS),
                      body[TD_PULSE_PAIRS]);

@@ -65,6 +65,8 @@ const td_bank *td_store_bank(const td_store *store)
 
 uint8_t *td_store_spare(td_store *store)
 {
+    if (store->left)
+        forget(store);
     return store->length == 0 ? arriving(store) : NULL;
 }
 
@@ -72,6 +74,7 @@ td_refusal td_store_begin(td_store *store, uint32_t length, const uint8_t *sha25
 {
     if (length > TD_MAX_IMAGE_BYTES)
         return td_refuse(TD_REASON_TOO_LARGE, length);
+    store->left = false;
     if (length == store->length && memcmp(sha256, store->sha256, sizeof store->sha256) == 0)
         return td_granted;
     forget(store);
