@@ -10,6 +10,7 @@ LEAST_CYCLES = 1.0  # cycles per octave, all trials together
 LEAST_TRIALS = 2
 JITTER_NOTED, JITTER_LIMIT = 0.01, 0.2  # rms deviation from the uniform grid, in steps
 END_SAMPLES, END_PART = 3, 0.1  # number of last samples; their largest size as a share of the peak
+LEAST_RATE_HZ = 900.0  # of records of a device: no servo is slower than 1 kHz
 COHERENT = 0.8  # least coherence of a bin that counts
 FATAL, NOTED = True, False  # whether a finding refuses the records
 # Messages of checks that are noted or fatal by the size of what they find.
@@ -37,6 +38,8 @@ class Fault(StrEnum):
     POLARITY = "wrong polarity"
     UNITS = "units off by 9.81"
     CURRENT_SCALE = "current off scale"
+    POSITION_SCALE = "position off scale"
+    SLOW = "sampled too slowly"
     SHIFTED = "samples shifted"
     BANDWIDTH = "bandwidth not stated"
     MISSING_GRIP = "missing grip"
@@ -93,6 +96,9 @@ class Check(Enum):
         "what came before is not known, so that nothing is judged by this record; begin it before the command does")
     RATES = Fault.RATES, FATAL, None, (
         "{rate_Hz:.6g} Hz, {first} {wanted_Hz:.6g} Hz: must be one rate; record all trials at the servo's")
+    SLOW = Fault.SLOW, FATAL, LEAST_RATE_HZ, (
+        "{rate_Hz:.4g} Hz, must be {limit:g} Hz or more; record at the servo's rate, or name the times time_ms if "
+        "they are in ms")
     FEW_CYCLES = Fault.TOO_FEW_CYCLES, NOTED, LEAST_CYCLES, _CYCLES
     HARDLY_ANY_CYCLES = Fault.TOO_FEW_CYCLES, FATAL, LEAST_CYCLES, _CYCLES
     FEW_BINS = Fault.TOO_FEW_CYCLES, FATAL, None, (
@@ -116,6 +122,12 @@ class Check(Enum):
     ANSWERS_TURNED = Fault.POLARITY, FATAL, None, (
         "acceleration answers the current the other way than in {others}; turn the accelerometer or the current's "
         "sign in this file, or record it again")
+    POSITION_TURNED = Fault.POLARITY, FATAL, None, (
+        "position_m goes the other way than the acceleration makes it; turn its sign, so that it grows out of the "
+        "object")
+    POSITION_SCALE = Fault.POSITION_SCALE, FATAL, None, (
+        "position_m is {ratio:.3g} times the path that the acceleration makes; name it position_mm if it is in mm, "
+        "or correct the encoder's count_m, and record again")
     UNIT = Fault.UNITS, FATAL, None, (
         "acceleration is {ratio:.3g} times that of {against}, {which}; is the column in {unit} but named {column}? "
         "Correct its name")

@@ -12,6 +12,7 @@ from transopt.identify.amplifier import fit_amplifier, fit_pole
 from transopt.identify.amplifier_response import simulate_current
 from transopt.identify.checks import (
     GRIP_STEP_N,
+    PASSIVE_BAND_HZ,
     by_grip,
     check_bins,
     check_cycles,
@@ -33,7 +34,7 @@ from transopt.identify.device.response import (
     current_response,
     sampled_response,
 )
-from transopt.identify.findings import COHERENT, Check, Finding, refuse
+from transopt.identify.findings import COHERENT, LEAST_RATE_HZ, Check, Finding, refuse
 from transopt.identify.measurement import Measurement
 from transopt.identify.spectrum import TransferEstimate, Trial, check_rates, transfer
 from transopt.plant.amplifier import Amplifier
@@ -43,7 +44,7 @@ QUANTITIES = ("command", "current", "acceleration")
 LEAST_TO_HOLD_OUT = 3  # trials of a grip from which on one is held out for validation
 LEAST_BINS = 30  # the first stage of a fit takes a fourth of the bins, which must outnumber a grip's unknowns
 ALIKE = 0.5  # correlation of measured and expected signal above which sign and ratio are judged
-MOST_GAIN = 2.0  # largest factor between current and command, either way
+MOST_GAIN = 2.0  # largest factor between current and command, and between position and acceleration, either way
 LEAST_COUNTS = 2.0  # motion in counts of the encoder below which it shows its quantisation only
 ONE_POLE = 3.0  # largest mean square of the current's residual over the noise for one pole and a delay to fit
 CERTAIN = 6.0  # standard deviations by which rates from jittered time stamps may differ and still count as equal
@@ -122,6 +123,11 @@ def instrument_of(runs: Sequence[Measurement], amplifier: Amplifier | None) -> I
     return Instrument(runs[0].require("acceleration").dt_s, amplifier, poles[first])
 
 
+def _rate(run: Measurement) -> list[Finding]:
+    rate_Hz = 1 / run.require("acceleration").dt_s
+    return [] if rate_Hz >= LEAST_RATE_HZ else [Check.SLOW.at(run.name, rate_Hz=rate_Hz)]
+
+
 def _current_against_command(run: Measurement, amplifier: Amplifier | None) -> list[Finding]:
     """Check a recorded current against the command for a wrong unit, a wrong sign, or a shift in time.
 
@@ -192,6 +198,22 @@ def _against_response(run: Measurement, trial: Trial, estimate: TransferEstimate
     return _unlike(run.name, along < 0, ratio, f"the sweeps of {where}")
 
 
+def _position_against_acceleration(where: str, response: GripResponse) -> list[Finding]:
+    """Check sign and unit of the position where motor and stylus move as one: there y'' is the acceleration."""
+    data = response.data
+    if POSITION not in response.outputs:
+        return []
+    position, acceleration = (data.values()[response.outputs.index(row)] for row in (POSITION, ACCELERATION))
+    low_Hz, high_Hz = PASSIVE_BAND_HZ
+    inside = data.known[-1] & (data.middles_Hz >= low_Hz) & (data.middles_Hz <= high_Hz)
+    lines = data.used & inside[:, None]
+    path = -acceleration[lines] / (2 * np.pi * data.frequencies_Hz[lines]) ** 2
+    along = float(np.median((position[lines] / path).real)) if path.size else 1.0
+    if along < 0:
+        return [Check.POSITION_TURNED.at(where)]
+    return [] if 1 / MOST_GAIN <= along <= MOST_GAIN else [Check.POSITION_SCALE.at(where, ratio=along)]
+
+
 def _one_rate(runs: Sequence[Measurement], first: Measurement) -> list[Measurement]:
     """The runs with the rate of `first` where theirs differs only by the jitter of their time stamps."""
     wanted = first.require("acceleration").dt_s
@@ -228,7 +250,7 @@ def sort_trials(
     """
     runs, transients = _one_rate(runs, runs[0]), _one_rate(transients, runs[0])
     together = [*runs, *transients]
-    found = refuse(finding for run in together for finding in check_measurement(run, QUANTITIES))
+    found = refuse(finding for run in together for finding in _rate(run) + check_measurement(run, QUANTITIES))
     trials_of = {
         id(run): Trial(run.name, felt_current(run, amplifier), run.require("acceleration")) for run in together
     }
@@ -262,7 +284,7 @@ def sort_trials(
         for run in (*fitted, *kept):
             again += _current_against_command(run, amplifier)
         again += _odd_one_out(where, [run.name for run in fitted], estimate)
-        again += check_passive(where, estimate)
+        again += check_passive(where, estimate) + _position_against_acceleration(where, response)
         if nominal is not None:
             expected = sampled_response(nominal(grip_N), instrument, estimate.frequencies_Hz)[0]
             again += check_gravity(where, estimate, np.abs(expected), "the scene's device")

@@ -238,6 +238,10 @@ BAD = {
         lambda runs: spoiled(runs, 3, lambda run: scaled(run, 1 / 9.80665)),
         "sweep_3N_3.npz: units off by 9.81: .* of the sweeps of 3 N",
     ),
+    "time in ms": (
+        lambda runs: [run.changed(lambda _, x: replace(x, dt_s=1e3 * x.dt_s)) for run in runs],
+        "sweep_3N_0.npz: sampled too slowly: 10 Hz, .*time_ms",
+    ),
     "current in mA": (
         lambda runs: [driven(run, lambda current: 1e3 * current) for run in runs],
         "sweep_3N_0.npz: current off scale.*are both in A",
@@ -276,6 +280,17 @@ def test_a_bad_record_is_named_with_what_to_do(case: str, held: list[Measurement
     with pytest.raises(InputError, match=message) as raised:
         identify(spoil(held), [], SETTINGS)
     assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("factor", "message"),
+    [(-1.0, "3 N: wrong polarity: position_m"), (1e3, "3 N: position off scale: .*name it position_mm")],
+)
+def test_a_position_that_is_reversed_or_in_mm_is_named(rig: Rig, factor: float, message: str) -> None:
+    runs = replace(rig, count_m=24.5e-6).sweeps((3.0,), seconds=1.0)
+    turned = [replace(run, position=run.require("position").scaled(factor)) for run in runs]
+    with pytest.raises(InputError, match=message):
+        identify(turned, [], SETTINGS)
 
 
 def test_a_transient_that_is_reversed_is_no_error_of_the_model(rig: Rig, held: list[Measurement]) -> None:
