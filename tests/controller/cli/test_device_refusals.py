@@ -27,6 +27,11 @@ def test_a_library_that_does_not_fit(play: Run, library: Library, monkeypatch: p
     assert_refused(
         play("upload", "library.npz", *PORT), "amplifier.pole_Hz = 1050 Hz: more than the hardware allows, 50 to 900"
     )
+    coil = Hardware(has_coil=True, R_ohm=2.0, R_wh_K_W=3.0, R_ha_K_W=14.0, tau_w_s=12.0, tau_h_s=600.0, limit_C=90.0)
+    Desk(library, hardware=coil).put(monkeypatch)
+    assert_refused(
+        play("upload", "library.npz", *PORT), "motor.winding_max_C = 100 C: more than the hardware allows, up to 90 C"
+    )
     Desk(library, hardware=Hardware(dt_s=2e-4)).put(monkeypatch)
     assert_refused(play("upload", "library.npz", *PORT), "servo period or lead differ", "(device saw 0.0001)")
 
