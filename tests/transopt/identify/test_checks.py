@@ -98,16 +98,6 @@ def test_cycles_are_counted_as_they_were_played() -> None:
     np.testing.assert_allclose(twice, 2 * found, rtol=1e-12)
 
 
-def test_rates_that_differ() -> None:
-    good = amplifier_trial(1)
-    slow = Trial("slow", replace(good.input, dt_s=2e-4), replace(good.output, dt_s=2e-4))
-    message = only(check_rates([good, slow]), Fault.RATES, fatal=True)
-    assert (
-        message
-        == "slow: rates that differ: 5000 Hz, trial 1 10000 Hz: must be one rate; record all trials at the servo's"
-    )
-
-
 # ------------------------------------------------------------------------------------------- clipping, excitation
 
 

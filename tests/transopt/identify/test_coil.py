@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import typer
 from scipy.signal import lfilter
 
 from transopt.base.errors import InputError
@@ -227,19 +226,6 @@ def test_the_command_writes_part_and_figure(tmp_path: Path, capsys: pytest.Captu
     assert "R_wh_K_W" in capsys.readouterr().out
 
 
-def test_a_record_too_short_is_written_with_its_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "MODEL.json"
-    heat = write(measured(heating_s=200.0, cooling_s=200.0), tmp_path / "heat.npz")
-    with pytest.raises(typer.Exit) as stop:
-        identify_coil(heat, out, resistance_ohm=R_OHM)
-    assert stop.value.exit_code == 1
-    part = load_model(out).coil
-    assert part.verdict.startswith("not fit to design with: current flows for 200 s")
-    printed = capsys.readouterr().out
-    assert "verdict: not fit to design with\nshort: current flows for 200 s" in printed
-    assert printed.count("\nshort: ") == len(part.shortfalls)
-
-
 def test_the_command_refuses_its_options(tmp_path: Path) -> None:
     heat = write(measured(heating_s=100.0, cooling_s=100.0), tmp_path / "heat.npz")
     with pytest.raises(InputError, match=r"coil\.txt: a model file ends in \.json"):
@@ -259,8 +245,3 @@ def test_the_ripple_is_that_of_the_amplifier_that_heated() -> None:
     for ripple in (-0.1, 1.0, np.nan):
         with pytest.raises(InputError, match="--ripple-A"):
             heat_record(run, R_OHM, ripple)
-
-
-def test_the_command_takes_the_ripple_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    identify_coil(write(measured(), tmp_path / "heat.npz"), tmp_path / "MODEL.json", ripple_A=0.0)
-    assert "fitted with 0 A of ripple" in " ".join(capsys.readouterr().out.split())

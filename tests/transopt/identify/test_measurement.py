@@ -36,22 +36,12 @@ def test_npz_and_csv_hold_the_same(tmp_path: Path) -> None:
         assert run.off_grid < 1e-6
 
 
-def test_a_grip_of_zero_is_a_free_device(tmp_path: Path) -> None:
-    np.savez(tmp_path / "free.npz", time_s=TIMES_S, command_A=RAMP, grip_N=0.0)
-    assert load_measurement(tmp_path / "free.npz").grip_N == 0.0
-
-
 def test_a_grip_that_no_hand_has_is_noted(tmp_path: Path) -> None:
     np.savez(tmp_path / "gf.npz", time_s=TIMES_S, command_A=RAMP, grip_N=300.0)
     (note,) = load_measurement(tmp_path / "gf.npz").notes
     assert note == "the grip is 300 N, a hand's 0.05 to 60 N: check the unit of the grip (a factor of 102: N and gf?)"
     np.savez(tmp_path / "N.npz", time_s=TIMES_S, command_A=RAMP, grip_N=3.0)
     assert load_measurement(tmp_path / "N.npz").notes == ()
-
-
-def test_slow_records_of_temperature_are_read(tmp_path: Path) -> None:
-    np.savez(tmp_path / "heat.npz", time_s=np.arange(20) * 10.0, current_A=np.ones(20), winding_C=30 + RAMP)
-    assert load_measurement(tmp_path / "heat.npz").require("winding").dt_s == pytest.approx(10.0)
 
 
 def test_what_is_missing_or_misspelt_is_named(tmp_path: Path) -> None:
@@ -66,12 +56,6 @@ def test_what_is_missing_or_misspelt_is_named(tmp_path: Path) -> None:
         load_measurement(tmp_path / "some.npz").require("current")
     with pytest.raises(InputError, match="holds one signal"):
         load_measurement(tmp_path / "a.wav")
-
-
-def test_jitter_is_told(tmp_path: Path) -> None:
-    jittered = TIMES_S + 3e-5 * np.sin(np.arange(20.0))
-    np.savez(tmp_path / "jitter.npz", time_s=jittered, command_A=RAMP)
-    assert 0.1 < load_measurement(tmp_path / "jitter.npz").off_grid < 0.5
 
 
 def test_a_record_given_twice_counts_once_or_not_at_all(tmp_path: Path) -> None:

@@ -10,7 +10,6 @@ from transopt.identify.response_fit import HIGHEST_ORDER, MOST_MISFIT, ResponseF
 from transopt.plant.inertial import Inertial
 from transopt.plant.state_space import CURRENT_INPUT, VOLTAGE_INPUT
 from transopt.plant.voice_coil import VoiceCoil
-from transopt.report.fits import response_figure
 
 F_HZ = np.geomspace(20, 2000, 400)
 LRA = Inertial(
@@ -118,16 +117,3 @@ def test_refusals(order: int, band: tuple[float, float] | None, said: str) -> No
         fit_response(F_HZ, ten_states().response(F_HZ), order, VOLTAGE_INPUT, band)
     with pytest.raises(InputError, match="zero at every frequency"):
         fit_response(F_HZ, np.zeros(F_HZ.size, dtype=complex), 2, VOLTAGE_INPUT)
-
-
-def test_the_figure_shows_what_was_measured_on_what_was_fitted() -> None:
-    fit = fitted(ten_states().response(F_HZ), 10)
-    magnitude, phase = response_figure(fit).axes
-    for axes in (magnitude, phase):
-        dots, line = axes.get_lines()
-        at, course = line.get_data()
-        f, measured = dots.get_data()
-        drawn = np.interp(np.log(np.asarray(f)), np.log(np.asarray(at)), np.asarray(course))
-        spread = np.ptp(np.asarray(course))
-        np.testing.assert_allclose(np.asarray(measured), drawn, atol=0.01 * spread)
-    assert "V" in magnitude.get_ylabel()

@@ -1,19 +1,19 @@
-"""Grips with different channels: each counts with what was read of it, and the device is found all the same."""
+"""Grips with different channels, the free device and held ones: found all the same."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tests.benches.identification import AMPLIFIER, DEFAULT, Rig, assert_near, mismatched
+from controller.record.excitation import sweep_command
+from tests.benches.identification import AMPLIFIER, DEFAULT, DT_S, Rig, assert_near, mismatched
 from tests.transopt.identify.device.conftest import INSTRUMENT, SETTINGS
-from transopt.identify.device.chain import ChainSearch, Coordinates, GripResponse, unknowns_of
-from transopt.identify.device.chain_fit import fit_per_grip, refit
+from transopt.identify.device.chain import ChainSearch, Coordinates, DriveChain, GripResponse, unknowns_of
 from transopt.identify.device.identify import identify
 from transopt.identify.device.response import ACCELERATION, CURRENT, POSITION
 from transopt.identify.device.response import INSTRUMENT as UNKNOWNS
-from transopt.identify.device.result import Kind, device_part
-from transopt.identify.device.trials import sort_trials
+from transopt.identify.device.result import DeviceResult, Kind, device_part
+from transopt.identify.device.trials import current_follows, sort_trials
 from transopt.identify.likelihood import Maximum
 from transopt.identify.measurement import Measurement
 
@@ -75,27 +75,6 @@ def test_whatever_channels_each_grip_has_the_device_is_found(seed: int, rig: Rig
     assert np.median(np.abs(off) / np.sqrt(np.diag(result.chain.covariance))) < 2, channels
 
 
-def test_a_state_space_is_found_too(rig: Rig, sweeps: list[Measurement]) -> None:
-    settings = replace(SETTINGS, kind=Kind.STATE_SPACE, order=6)
-    part = device_part(identify(thinned(sweeps, drawn(0)), [], settings))
-    for grip in GRIPS_N[1:]:
-        assert_near(part.plant(grip), rig.device.plant(grip))
-
-
-def test_a_grip_without_an_encoder_is_fitted_alone_and_left_out_like_any_other(
-    rig: Rig, sweeps: list[Measurement]
-) -> None:
-    runs = [without(run, "position") if run.grip_N == 3.0 else run for run in sweeps]
-    result = identify(runs, [], SETTINGS)
-    assert result.chain is not None
-    measured = [grip.response for grip in result.grips]
-    assert {one.grip_N for one in fit_per_grip(result.chain, measured, least_coherence=0.8)} == set(GRIPS_N[1:])
-    for left_out in GRIPS_N[1:]:
-        again = refit(result.chain, [one for one in measured if one.grip_N != left_out])
-        assert again.scatter == pytest.approx(1.0, abs=0.3)
-        assert_near(again.device.plant(2.0), rig.device.plant(2.0))
-
-
 def chosen(one: GripResponse, outputs: tuple[int, ...]) -> GripResponse:
     """The response with some of its outputs alone, which follow each other."""
     first = one.outputs.index(outputs[0])
@@ -124,3 +103,64 @@ def test_the_sums_of_squares_of_a_grip_do_not_depend_on_the_channels_of_the_othe
         alone, _ = around([one])
         np.testing.assert_allclose(squares, alone.chi_square[0], rtol=1e-9)
         np.testing.assert_array_equal(points, alone.points[0])
+
+
+LOW_HZ = {True: 20.0, False: 1.0}  # a free device drifts away from what is slower
+DEVICES = {
+    "default": lambda seed: mismatched(0.1, seed),
+    # A heavier drive behind a softer transmission, and a hand with less skin.
+    "soft": lambda seed: DriveChain(
+        2.0, mismatched(0.1, seed).shared * [3.0, 2.0, 0.4, 1.0], mismatched(0.1, seed).hand * 0.6
+    ),
+}
+
+
+def recorded(drive: str, seed: int, *, encoder: bool) -> tuple[DriveChain, list[Measurement]]:
+    device = DEVICES[drive](seed)
+    rig = Rig(device, crossover_A=0.01, count_m=2e-6 if encoder else None)
+    runs = []
+    for grip in GRIPS_N:
+        command = sweep_command(LOW_HZ[grip == 0], 2000.0, 2.0, 0.75, DT_S)
+        runs += [rig.record(f"{grip:g}N_{j}.npz", grip, (-1) ** j * command, 1000 * seed + j) for j in range(4)]
+    return device, runs
+
+
+def worst_error(result: DeviceResult, device: DriveChain) -> float:
+    """Largest rms over 20 to 800 Hz of the model's response less the true one, relative to the true one's."""
+    frequencies = np.geomspace(20.0, 800.0, 300)
+    part, errors = device_part(result), []
+    for grip in GRIPS_N:
+        truth = device.plant(grip).response(frequencies)
+        off = np.linalg.norm(part.plant(grip).response(frequencies) - truth)
+        errors.append(float(off / np.linalg.norm(truth)))
+    return max(errors)
+
+
+def check(drive: str, seed: int, *, encoder: bool) -> None:
+    device, runs = recorded(drive, seed, encoder=encoder)
+    known = replace(DEFAULT, force_per_current_N_A=device.force_per_current_N_A)
+    result = identify(runs, [], replace(SETTINGS, nominal=known, kind=Kind.AUTO))
+    assert result.chosen.kind is Kind.DRIVE
+    assert worst_error(result, device) < 1e-3
+
+
+def test_a_free_device_is_found_with_the_held_ones() -> None:
+    check("default", 1, encoder=True)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("encoder", [True, False])
+@pytest.mark.parametrize("drive", DEVICES)
+@pytest.mark.parametrize("seed", range(10))
+def test_every_recording_is_found_as_the_chain_it_is(drive: str, seed: int, encoder: bool) -> None:
+    check(drive, seed, encoder=encoder)
+
+
+def test_an_amplifier_that_is_no_pole_at_one_grip_is_taken_for_none_at_another() -> None:
+    """Alone, the dead band looks like another pole where the slow part of a sweep is missing."""
+    _, runs = recorded("default", 1, encoder=True)
+    records = sort_trials(runs, [], AMPLIFIER, None)
+    groups = [grip.fitted for grip in records.grips]
+    assert current_follows(groups[:1], records.instrument)
+    assert not current_follows(groups, records.instrument)
+    assert not any(CURRENT in grip.response.outputs for grip in records.grips)

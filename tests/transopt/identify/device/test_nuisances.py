@@ -1,4 +1,4 @@
-"""What no file states of the accelerometer is found, named and taken out; what is stated truly is left alone."""
+"""What no file states of the sensors, delays, slow motion and noise is found, named and taken out."""
 
 import re
 from collections.abc import Callable
@@ -8,11 +8,15 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from tests.benches.identification import AMPLIFIER, DEFAULT, Rig, mismatched, spoilt
+from tests.benches.identification import AMPLIFIER, DEFAULT, DT_S, Rig, mismatched, spoilt
 from tests.transopt.identify.device.conftest import SETTINGS
+from transopt.base.signals import FloatArray
 from transopt.identify.device.chain_fit import ChainFit, fit_chain
+from transopt.identify.device.cleaned import NOTICED, TAKEN_HZ, delay_samples, leakage, without_delay
+from transopt.identify.device.findings import noise_findings
 from transopt.identify.device.identify import identify
-from transopt.identify.device.trials import sort_trials
+from transopt.identify.device.trials import instrument_of, sort_trials
+from transopt.identify.findings import Finding
 from transopt.identify.measurement import Measurement
 
 GRIPS_N = (1.0, 3.0, 5.0)
@@ -127,3 +131,110 @@ def test_hands_that_vary_from_trial_to_trial_widen_the_intervals_and_are_named(r
     off = np.abs(varying.unknowns - varying.coordinates.of(rig.device)) / np.sqrt(np.diag(varying.covariance))
     assert np.median(off) < 2
     assert "varying hand" in identify(runs, [], SETTINGS).causes
+
+
+@pytest.fixture(scope="module")
+def undelayed() -> list[Measurement]:
+    return Rig(mismatched(0.1, 5)).sweeps((1.0, 3.0))
+
+
+def late(run: Measurement, samples: int) -> Measurement:
+    noise = 0.03 * np.random.default_rng(samples).standard_normal(samples)
+    return spoilt(run, "acceleration", lambda x: np.append(noise, x[: x.size - samples]))
+
+
+@pytest.mark.parametrize("samples", [3, 80, 2000])
+def test_found_to_a_sample_by_a_device_ten_percent_off(undelayed: list[Measurement], samples: int) -> None:
+    shifted = [late(run, samples) for run in undelayed]
+    found = delay_samples(shifted, AMPLIFIER, DEFAULT.plant, instrument_of(shifted, AMPLIFIER))
+    # Two milliseconds and less may be the device's own.
+    assert abs(found - (samples if samples * DT_S > 2e-3 else 0)) <= 1
+
+
+def test_taken_out_of_every_channel(undelayed: list[Measurement]) -> None:
+    back = without_delay([late(undelayed[0], 500)], 500)[0]
+    kept = undelayed[0].require("acceleration").values.size - 500
+    for name in ("command", "current", "acceleration"):
+        np.testing.assert_array_equal(back.require(name).values, undelayed[0].require(name).values[:kept])
+
+
+def test_identified_behind_fifty_milliseconds(undelayed: list[Measurement]) -> None:
+    result = identify([late(run, 500) for run in undelayed], [], SETTINGS)
+    assert any("50 ms (500 samples) later than any device answers" in str(found) for found in result.findings)
+    assert max(result.chosen.recorded.values()) < 0.02
+
+
+STEP_S, N = 1e-4, 20000
+
+
+def fast_lines(values: np.ndarray) -> np.ndarray:
+    lines = np.fft.rfft(values)
+    lines[np.fft.rfftfreq(values.size, STEP_S) <= TAKEN_HZ] = 0.0
+    return np.asarray(lines)
+
+
+def test_a_tremor_that_the_record_cuts_off_is_found_by_its_leakage() -> None:
+    times, random = STEP_S * np.arange(N), np.random.default_rng(4)
+    tremor = 0.5 * np.sin(2 * np.pi * 9.3 * times + 1.2)  # the ends do not meet
+    noise = 0.02 * random.standard_normal(N)
+    found, share = leakage(tremor + noise, STEP_S)
+    true = fast_lines(tremor)
+    assert share > NOTICED
+    assert np.linalg.norm(np.fft.rfft(found) - true) < 0.15 * np.linalg.norm(true)
+
+
+def test_noise_is_left_alone() -> None:
+    random = np.random.default_rng(5)
+    shares = [leakage(random.standard_normal(N), STEP_S)[1] for _ in range(20)]
+    assert max(shares) < NOTICED
+
+
+def test_lines_below_stay_as_they_are() -> None:
+    values = np.cumsum(np.random.default_rng(6).standard_normal(N))
+    found, _ = leakage(values, STEP_S)
+    slow = np.fft.rfftfreq(N, STEP_S) <= TAKEN_HZ
+    assert np.abs(np.fft.rfft(found)[slow]).max() < 1e-9 * np.abs(np.fft.rfft(values)).max()
+
+
+TWO_GRIPS_N = (1.0, 3.0)
+Change = Callable[[FloatArray, FloatArray, np.random.Generator], FloatArray]
+
+
+def found(change: Change, seed: int = 0) -> list[Finding]:
+    """The findings on sweeps whose accelerations (n,) at times (n,) have been changed."""
+    random, times_s = np.random.default_rng(seed), DT_S * np.arange(100_000)
+    sweeps = Rig(mismatched(0.1, 8)).sweeps(TWO_GRIPS_N)
+    runs = [spoilt(run, "acceleration", lambda x: change(times_s[: x.size], x, random)) for run in sweeps]
+    return noise_findings(sort_trials(runs, [], AMPLIFIER, None).grips)
+
+
+def hum(times: FloatArray, values: FloatArray, random: np.random.Generator) -> FloatArray:
+    return values + 0.5 * np.sin(2 * np.pi * 60.0 * times + random.uniform(0, 6.28))
+
+
+def tremor(times: FloatArray, values: FloatArray, random: np.random.Generator) -> FloatArray:
+    lines = random.uniform(8, 12, 6)
+    return values + 0.5 * np.sin(2 * np.pi * np.outer(times, lines) + random.uniform(0, 6.28, 6)).sum(axis=1)
+
+
+def steps(times: FloatArray, values: FloatArray, random: np.random.Generator) -> FloatArray:
+    return 1.0 * np.round(values)
+
+
+@pytest.mark.parametrize(
+    ("change", "where", "says"),
+    [
+        (hum, "mains hum", "multiples of 60 Hz"),
+        (tremor, "hand tremor", "rest the forearm"),
+        (steps, "converter steps", "steps of 1 m/s^2"),
+    ],
+)
+def test_by_name_with_a_remedy(change: Change, where: str, says: str) -> None:
+    [finding] = found(change)
+    assert finding.where == where
+    assert says in finding.text
+    assert not finding.fatal
+
+
+def test_a_plain_record_has_none() -> None:
+    assert found(lambda times, values, random: values) == []

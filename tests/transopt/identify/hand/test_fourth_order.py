@@ -107,14 +107,6 @@ def test_each_hand_is_found_as_what_it_is() -> None:
         assert part.verdict.startswith(f"supports designs with a {part.kind} hand from ")
 
 
-def test_a_hand_of_one_mass_is_not_asked_for_other_taps() -> None:
-    hand, chain = Session(hands=second_order_hands, grips=4, speeds=4).fitted(72)
-    assert "hand.skin_stiffness_N_m" in chain.undetermined
-    assert not hand_part(hand, chain, []).shortfalls
-    assert "no better than by one mass on a spring and a damper" in chain.word()
-    assert "record" not in chain.word()
-
-
 # ------------------------------------------------------------------------------------------------ remedies
 
 GOOD, SOFT = Session(9, 9), Session(6, 6, 0.4, FOAM)
