@@ -64,18 +64,6 @@ def test_sounds_say_what_they_are_and_name_the_drive_which_is_one(run: Run, lra:
     assert "--drive" not in outcome.out
 
 
-def test_saturation_is_counted_and_said(run: Run, lra: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "200")
-    outcome = run("export", lra, "d.bin", "--drive", "--full-scale", 1.5, "--target", "click 150 Hz")
-    assert outcome.code == 0
-    _, designed, leaves, _, saturated, peak_V, *_ = cells(outcome.out, "click 150 Hz")
-    assert float(leaves) > float(designed) + 1
-    assert int(saturated) > 100
-    assert float(peak_V) == pytest.approx(1.5, abs=1e-3)
-    assert f"{saturated} samples are beyond full scale" in outcome.out
-    assert Path("d.bin").stat().st_size == 2 * 960
-
-
 def test_a_rate_that_is_no_multiple_is_said_with_the_period_that_would_be(run: Run, lra: Path) -> None:
     outcome = run("export", lra, "d.npz", "--drive", "--rate-Hz", 44100)
     assert outcome.code == 0
@@ -91,14 +79,6 @@ def test_a_limit_that_is_left_ends_with_1(run: Run, lra: Path, monkeypatch: pyte
     assert Path("d.csv").is_file()
 
 
-def test_currents_over_speed_and_grip_leave_too(run: Run, solved: Path) -> None:
-    outcome = run("export", solved / "library.npz", "d.wav", "--drive", "--bits", "float")
-    assert outcome.code == 0
-    assert "10000 Hz, 32 bit float, full scale 6 A" in outcome.out
-    rate, samples = wavfile.read("d.wav")
-    assert (rate, samples.dtype, samples.size) == (10000, np.float32, 800)
-
-
 def test_show_prints_the_figures_of_the_trade(run: Run, lra: Path) -> None:
     outcome = run("show", lra, "--table")
     assert outcome.code == 0
@@ -111,12 +91,6 @@ def test_show_prints_the_figures_of_the_trade(run: Run, lra: Path) -> None:
         assert float(text) == pytest.approx(value, rel=0.01, abs=0.006)
     assert float(share) == pytest.approx(100 * found.ring_share, abs=0.006)
     assert "pulse / ring: peak to peak" in " ".join(shown.split())
-
-
-def test_show_of_speeds_and_grips_is_as_it_was(run: Run, solved: Path) -> None:
-    assert "pulse and ring" not in run("show", solved / "library.npz", "--table").out
-    assert "transopt show" not in run("show", solved / "library.npz", "--table").out  # just typed
-    assert "transopt show" in run("show", solved / "library.npz").out
 
 
 def test_refusals(run: Run, solved: Path, lra: Path) -> None:

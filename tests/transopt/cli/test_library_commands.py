@@ -3,8 +3,6 @@
 from dataclasses import replace
 from pathlib import Path
 
-import pytest
-
 from tests.benches.commands import Run, assert_refused
 from tests.benches.libraries import under
 from transopt.library.file import load_library
@@ -15,15 +13,6 @@ class TestVerifyShowExport:
         outcome = run("verify", solved / "library.npz")
         assert outcome.code == 0
         assert "1 of 1 entries certified and replayed clean" in outcome.out
-
-    def test_verify_fails_on_a_library_that_claims_too_much(self, run: Run, solved: Path) -> None:
-        library = load_library(solved / "library.npz")
-        command = library.command.copy()
-        command[0, 0, 20] += 0.05
-        replace(library, command=command).save(Path("changed.npz"))
-        outcome = run("verify", "changed.npz")
-        assert outcome.code == 1
-        assert "0 of 1 entries" in outcome.out
 
     def test_a_damaged_library_is_refused(self, run: Run, solved: Path) -> None:
         content = (solved / "library.npz").read_bytes()
@@ -41,11 +30,6 @@ class TestVerifyShowExport:
         assert_refused(
             run("show", solved / "library.npz", "--figure", "absent/look.png"), "there is no folder absent"
         )
-
-    @pytest.mark.parametrize("suffix", ["mat", "csv", "wav", "h"])
-    def test_export(self, run: Run, solved: Path, suffix: str) -> None:
-        assert run("export", solved / "library.npz", f"x.{suffix}").code == 0
-        assert Path(f"x.{suffix}").stat().st_size > 1000
 
     def test_export_refusals(self, run: Run, solved: Path) -> None:
         assert_refused(run("export", solved / "library.npz", "x.pdf"), ".mat", ".csv", ".wav", ".h")

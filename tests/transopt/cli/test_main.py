@@ -123,9 +123,3 @@ def test_alone_a_program_says_by_three_commands_what_to_do_first(
 def test_an_unknown_word_suggests_the_nearest(line: str, meant: str, terminal: Terminal) -> None:
     program, *arguments = line.split()
     assert_refused(terminal(program, *arguments), f"(did you mean {meant}")
-
-
-def test_a_word_like_none_suggests_nothing(terminal: Terminal) -> None:
-    outcome = terminal("transopt", "xyzzy")
-    assert_refused(outcome, "xyzzy: no such command")
-    assert "did you mean" not in outcome.err

@@ -64,21 +64,6 @@ def test_one_device_stated_in_three_ways_has_one_design(fit: Callable[..., Outco
     assert np.abs(commands["response"] - commands["scene"]).max() < SAME * limit
 
 
-def test_the_design_for_a_noisy_response_is_as_good_as_its_fit(fit: Callable[..., Outcome]) -> None:
-    measure(noise=0.01)
-    assert fit("--order", "10").code == 0
-    Path("written.toml").write_text(in_toml(), encoding="utf-8")
-    Path("measured.toml").write_text(file_scene("plant.npz", peak_m_s2=PEAK), encoding="utf-8")
-    true, found = (to.solve(f"{name}.toml") for name in ("written", "measured"))
-    # Played on the true device the command of the fitted one loses about the noise of the response.
-    stage = true.stage(0)
-    target = true.target_m_s2[0, 0]
-    made = stage.rollout(found.command[0, 0])[0]
-    best = stage.rollout(true.command[0, 0])[0]
-    errors = [float(np.linalg.norm(a - target) / np.linalg.norm(target)) for a in (made, best)]
-    assert errors[0] == pytest.approx(errors[1], abs=0.002)
-
-
 def test_it_says_what_was_found_and_what_comes_next(fit: Callable[..., Outcome]) -> None:
     measure()
     outcome = fit("--order", "10")
@@ -151,22 +136,6 @@ class TestLabels:
                 found = to.StateSpace(*(file[matrix] for matrix in "ABCD"))
             # 3.0 Q m/s^2 per volt at the resonance, which would be 9.81 times less if g were read as m/s^2.
             assert abs(found.response(np.array([W / (2 * np.pi)]))[0]) == pytest.approx(24.0, rel=1e-3)
-
-    def test_against_the_users_word_are_refused_and_the_remedy_works(self, run: Run, name: str) -> None:
-        refused = self.fitted(run, name, "--input", "current")
-        assert_refused(refused, f"{name}: --input current: its unit g/V says that the response is to a voltage")
-        remedy = refused.err.strip().partition("state ")[2].split(" ")
-        assert remedy == ["--units", "magnitude=g/A"]
-        outcome = self.fitted(run, name, "--input", "current", *remedy)
-        assert outcome.code == 0, outcome.err
-        assert "--units says g/A, which is taken" in outcome.out
-        with np.load("plant.npz") as file:
-            assert str(file["input"]) == "current"
-
-    def test_and_a_scale_besides_are_said(self, run: Run, name: str) -> None:
-        outcome = self.fitted(run, name, "--scale", "9.80665")
-        assert outcome.code == 0, outcome.err
-        assert "g/V is converted to m/s^2 per A or V, and --scale 9.80665 multiplies besides" in outcome.out
 
 
 def test_refusals(fit: Callable[..., Outcome], run: Run) -> None:

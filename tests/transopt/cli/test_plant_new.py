@@ -9,11 +9,10 @@ import pytest
 
 from tests.benches.commands import Run, assert_refused
 from transopt.base import asking
-from transopt.base.units import unit_of
 from transopt.library.file import load_library
 from transopt.plant.state_space import StateSpace
 from transopt.scene.builtin import load_scene
-from transopt.scene.datasheet import CYCLES, Datasheet
+from transopt.scene.datasheet import CYCLES
 
 LRA = {
     "--resonance-Hz": 175.0,
@@ -219,11 +218,3 @@ class TestAsked:
         monkeypatch.setattr(sys, "stdin", io.StringIO(""))
         assert_refused(run("plant", "new", "lra"), "plant new: no answers came")
         assert not Path("lra.toml").exists()
-
-
-def test_every_number_of_a_sheet_has_a_unit_and_a_meaning() -> None:
-    for key, field in Datasheet.model_fields.items():
-        if key != "kind":
-            assert field.description, key
-        if key not in ("kind", "input", "quality", "rated", "peak"):
-            assert unit_of(key), key

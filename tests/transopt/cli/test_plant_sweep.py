@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.benches.actuators import HEAD
 from tests.benches.commands import Run, assert_refused
 
 G = 9.80665
@@ -133,23 +132,6 @@ def test_channels_without_a_known_name_are_named_with_how_to_name_them(run: Run)
     assert seen("plant.npz") == pytest.approx((150, 8, Actuator().gain), rel=0.01)
 
 
-def test_what_it_writes_is_designed_with(run: Run) -> None:
-    record("sweep.csv", 104)
-    assert run("plant", "sweep", "sweep.csv", "--out", "plant.npz").code == 0
-    text = (
-        HEAD.format(peak=1.0)
-        + """
-[model]
-kind = "state_space"
-file = "plant.npz"
-[limits]
-voltage_V = 3.0
-"""
-    )
-    Path("mine.toml").write_text(text)
-    assert run("solve", "mine.toml", "--no-figures").code == 0
-
-
 def test_a_delay_is_no_state_and_is_taken_out(run: Run) -> None:
     record("late.csv", 109, late=10)
     for order in ((), ("--order", 2)):  # eight states follow the delayed response well, two do not
@@ -223,26 +205,3 @@ def test_a_missing_column_is_named(run: Run, names: str, said: str) -> None:
     rows = Path("sweep.csv").read_text().splitlines()
     Path("sweep.csv").write_text("\n".join([names.replace("temperature", "winding"), *rows[1:]]))
     assert_refused(run("plant", "sweep", "sweep.csv", "--out", "plant.npz"), said)
-
-
-def test_exchanged_columns_and_times_of_a_wrong_unit_are_refused(run: Run) -> None:
-    record("sweep.csv", 113)
-    rows = Path("sweep.csv").read_text().splitlines()
-    for names, said in (
-        ("time_s,acceleration_g,voltage_V", "are the columns exchanged?"),
-        ("time_ms,voltage_V,acceleration_g", "check the unit of the frequency (a factor of 1000"),
-    ):
-        Path("wrong.csv").write_text("\n".join([names, *rows[1:]]))
-        assert_refused(run("plant", "sweep", "wrong.csv", "--out", "plant.npz"), said)
-    assert run("plant", "sweep", "wrong.csv", "--out", "plant.npz", "--units", "time=s").code == 0
-
-
-def test_a_clipped_sensor_is_refused(run: Run) -> None:
-    record("sweep.csv", 112)
-    t, u, a = np.loadtxt("sweep.csv", delimiter=",", skiprows=1).T
-    top = 1 + 0.5 * np.abs(a - 1).max()
-    header = "time_s,voltage_V,acceleration_g"
-    np.savetxt("cut.csv", np.transpose([t, u, np.minimum(a, top)]), "%.7g", ",", header=header, comments="")
-    assert_refused(
-        run("plant", "sweep", "cut.csv", "--out", "plant.npz"), "samples at the highest value", "wider range"
-    )

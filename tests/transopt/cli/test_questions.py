@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.benches.brought_files import FILES
 from tests.benches.commands import Run, assert_refused
 from tests.benches.recording_files import text
 from tests.benches.tap_formats import SPEED_M_S, TAP_M_S2, TIMES_S
@@ -98,15 +97,6 @@ class TestTerminal:
         assert again.code == 0
         assert "13.6" in again.out
 
-    def test_a_sensitivity_is_typed(self, tmp_path: Path) -> None:
-        file = next(each for each in FILES if each.name == "picoscope.csv")
-        (tmp_path / file.name).write_bytes(file.data)
-        person = Person(tmp_path, "taps", file.name, "--speed", SPEED_M_S)
-        person.is_asked()
-        person.types("102 mV/g\n")
-        assert person.ends() == 0, person.seen
-        assert "without being asked: --units 'Channel A=mV @ 102 mV/g'" in person.seen
-
     def test_what_is_implausible_is_put_right_or_accepted(self, tmp_path: Path) -> None:
         (tmp_path / "tap.csv").write_text("time_s,acceleration_m_s2\n" + text(TIMES_S, TAP_M_S2 / G))
         person = Person(tmp_path, "taps", "tap.csv", "--speed", SPEED_M_S)
@@ -164,14 +154,6 @@ def test_a_response_without_a_unit(run: Run) -> None:
     assert len(proposed) == 3
     for units in proposed:
         assert run("plant", "fit", "r.npz", "--order", 2, "--out", "p.npz", "--units", units).code == 0
-
-
-def test_a_command_without_a_speed(run: Run) -> None:
-    Path("tap.csv").write_text("time [s],acc [g]\n" + text(TIMES_S, TAP_M_S2 / G))
-    refused = run("taps", "tap.csv")
-    assert_refused(refused, "no incoming speed", "--speed 0.3")
-    assert "13.6" in refused.out  # the table comes first
-    assert run("taps", "tap.csv", "--speed", 0.3).code == 0
 
 
 class TestAnswers:

@@ -53,15 +53,6 @@ class TestTaps:
         outcome = run("solve", "pasted.toml", "--no-figures")
         assert outcome.code == 0, outcome.err
 
-    def test_a_channel_of_a_stereo_file(self, run: Run) -> None:
-        times = np.arange(3000) * 1e-4
-        pulse = 60 * np.sin(np.pi * np.clip(times - 0.1, 0, 4e-3) / 4e-3)
-        Path("two.wav").write_bytes(wav(np.stack([0 * pulse, pulse / 100], axis=1)))
-        options = ("--full-scale", 100, "--speed", 0.2)
-        assert_refused(run("taps", "two.wav", *options), "2 channels", "--channel 2")
-        assert run("taps", "two.wav", *options, "--channel", 2).code == 0
-        assert_refused(run("taps", "two.wav", *options, "--channel", 3), "choose 1 to 2")
-
 
 def pulse() -> tuple[np.ndarray, np.ndarray]:
     """Times [s] and an acceleration [m/s^2] that may be a tap's."""
@@ -133,12 +124,6 @@ class TestIdleOptions:
     def test_are_used_where_one_of_the_files_has_a_use_for_them(self, run: Run) -> None:
         outcome = run("taps", "x.csv", "x.wav", "--speed", 0.2, "--full-scale", 490.3, "--units", "acceleration=m/s2")
         assert outcome.code == 0, outcome.err
-
-    def test_are_refused_in_a_scene(self, run: Run) -> None:
-        scene = problems.scene_path("own_taps").read_text()
-        lines = f'folder = "{Path().absolute()}"\nfiles = ["x.csv"]\nspeed_m_s = 0.3\nchannel = 2'
-        Path("s.toml").write_text(scene.replace('folder = "../recordings"\nfiles = ["tap_*.csv"]', lines))
-        assert_refused(run("solve", "s.toml"), "--channel 2 (in a scene recordings.channel)")
 
 
 def test_what_a_scenes_files_leave_open_is_asked_by_keys_that_read_them(run: Run) -> None:

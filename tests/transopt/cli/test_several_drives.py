@@ -8,7 +8,6 @@ import pytest
 
 import transopt as to
 from tests.benches.commands import Run, assert_refused
-from transopt.base.errors import InputError
 from transopt.library.file import load_library
 from transopt.library.library import Library
 from transopt.proof.certify import certify
@@ -216,17 +215,3 @@ def test_a_weight_across_needs_several_accelerations(run: Run) -> None:
         run("solve", written(*ONE_ROW[:2]), "--out", "x"),
         "weights.tangential: model.kind = state_space has one direction",
     )
-
-
-def test_a_study_of_the_direction_needs_an_arm(run: Run) -> None:
-    assert_refused(run("study", written(), "--study", "direction", "--out", "x"), "table has named targets")
-    with pytest.raises(InputError, match="is no arm: take a scene of an arm, as stylus_3d"):
-        to.load_scene("table.toml").arm()
-
-
-def test_a_file_with_other_sizes_is_refused(library: Library, tmp_path: Path) -> None:
-    arrays = library.arrays()
-    arrays["command"] = arrays["command"][:, :, :1]
-    np.savez(tmp_path / "bad.npz", **arrays)
-    with pytest.raises(InputError, match="does not match its hash"):
-        load_library(tmp_path / "bad.npz")

@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import time
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -51,23 +50,6 @@ class TestSolve:
         assert float(found[4]) == pytest.approx(entry["certificate"]["relative_gap"], rel=0.5)
         assert float(found[7]) > 0
         assert "gap" in outcome.out.split("┡")[0].split()
-
-    def test_detail_is_printed_when_asked_for(
-        self, run: Run, quick_scene: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setenv("COLUMNS", "200")
-        solve = partial(run, "solve", quick_scene, "--out", "here", "--no-figures")
-        assert "┡" not in solve().out
-        outcome = solve("--table")
-        assert {"speed", "grip", "tap", "felt", "heat", "verdict"} <= set(outcome.out.split("┡")[0].split())
-
-    def test_simulated_recordings_are_called_simulated(self, run: Run) -> None:
-        Path("one.toml").write_text(WOOD.replace("[0.1, 0.2, 0.3, 0.4]", "[0.2]").replace("[1.0, 3.0, 5.0]", "[3.0]"))
-        assert run("solve", "one.toml", "--no-figures").code == 0
-        assert (
-            "**simulated**: the undriven device at each grip of the scene strikes"
-            in Path("out/one/report.md").read_text()
-        )
 
     def test_recordings_folder_is_named_by_the_user(self, run: Run) -> None:
         assert_refused(run("solve", "measured_impacts"), "acc_base_a*.txt", "--recordings FOLDER", "github.com")
@@ -194,6 +176,7 @@ class TestLostStart:
 
     def late(self, delay_s: str, lead_s: str, after_s: str = "0.0") -> Path:
         text = WOOD.replace("delay_s = 68e-6", f"delay_s = {delay_s}").replace("[1.0, 3.0, 5.0]", "[3.0]")
+        text = text.replace("[0.1, 0.2, 0.3, 0.4]", "[0.1, 0.4]")
         text = text.replace("stages = 800 ", f"lead_s = {lead_s}\nstages = 600 ") + f"after_s = {after_s}\n"
         path = Path("late.toml")
         path.write_text(text)
@@ -234,7 +217,7 @@ class TestLostStart:
         assert "is over before" not in outcome.out
         report = json.loads(Path("late/report.json").read_text())
         assert all(entry["felt_error"] < 0.17 for entry in report["entries"])
-        assert [reference["lost_share"] for reference in report["references"]] == [0.0] * 4
+        assert [reference["lost_share"] for reference in report["references"]] == [0.0] * 2
 
 
 class TestAfterTheWaveform:

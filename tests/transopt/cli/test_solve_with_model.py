@@ -92,16 +92,6 @@ class TestTheTargetStays:
         for a, b in zip(own, other, strict=True):
             np.testing.assert_array_equal(a.acceleration.values, b.acceleration.values)
 
-    def test_also_of_a_device_stated_at_the_tip(self, run: Run) -> None:
-        tip = (
-            "[tip]\nforce_per_current_N_A = 1.25\nmoving_mass_kg = 0.014\nstiffness_N_m = 6e4\ndamping_N_s_m = 8.0\n"
-        )
-        text = WOOD[WOOD.index("hand_over_samples") :] + tip
-        Path("tip.toml").write_text(text)
-        heavier()
-        own, other = (recordings_of(load_scene("tip.toml", model=file)) for file in (None, MODEL))
-        np.testing.assert_array_equal(own[0].acceleration.values, other[0].acceleration.values)
-
     def test_also_where_the_scene_leaves_pole_and_delay_to_the_file(self, run: Run) -> None:
         heavier()
         Path("bare.toml").write_text(WOOD.replace(POLE, ""))
@@ -118,11 +108,6 @@ class TestTheTargetStays:
         said = "simulated taps are struck by the device of MODEL.json and change with it"
         assert said in run("solve", "bare.toml", "--no-figures").out
         assert said not in run("solve", quick("mine.toml"), "--model", MODEL, "--no-figures").out
-
-    def test_the_report_says_who_struck(self, run: Run) -> None:
-        heavier()
-        assert run("solve", quick("mine.toml"), "--model", MODEL, "--no-figures").code == 0
-        assert "the scene's own device, not that of the model file" in Path("out/mine/report.md").read_text()
 
 
 class TestNotFit:

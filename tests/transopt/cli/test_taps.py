@@ -64,18 +64,6 @@ class TestTaps:
         assert outcome.code == 0, outcome.err
         assert "1 target, proven optimal" in outcome.out
 
-    def test_the_lines_make_a_scene_that_solves(self, run: Run) -> None:
-        """Put where the user is told to put them."""
-        outcome = run("taps", *sorted(EXAMPLES.glob("*.csv")))
-        lines = outcome.out[outcome.out.index("# in [grid]") :]
-        grid, recordings = lines.split("\n\n")
-        text = problems.scene_path("own_taps").read_text()
-        text = text.replace("speeds_m_s = [0.2, 0.3, 0.4]", grid).replace("[1.0, 3.0, 5.0]", "[3.0]")
-        text = text.replace('folder = "../recordings"\nfiles = ["tap_*.csv"]', recordings)
-        assert "# in [recordings]" in text
-        Path("pasted.toml").write_text(text)
-        assert run("solve", "pasted.toml", "--no-figures").code == 0
-
     def test_the_speeds_of_the_grid_are_found_or_stated(self, run: Run) -> None:
         header = "time_s,acceleration_m_s2"
         for number, speed in enumerate((0.181, 0.203, 0.225, 0.29, 0.3, 0.32)):
@@ -119,27 +107,11 @@ class TestTaps:
         assert "3 recordings, speed source: stated" in run("taps", EXAMPLES / "tap_*.csv").out
         assert_refused(run("taps", "a [1]/none*.csv"), "none*.csv", "matches no file")
 
-    def test_one_table_holds_all_figures_at_80_columns(self, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-        for number in (1, 2):
-            Path(f"tap_of_spruce_{number}.csv").write_text((EXAMPLES / "tap_0.3_m_s.csv").read_text())
-        monkeypatch.setenv("COLUMNS", "80")
-        outcome = run("taps", "tap_of_spruce_1.csv", "tap_of_spruce_2.csv")
-        first, *_ = outcome.out.split("└")
-        assert first.count("┡") == 1
-        assert "peak" in first
-        for number in (1, 2):
-            assert f"{number}.csv" in first
-        assert max(map(len, first.splitlines())) <= 80
-
     def test_help_names_every_way_to_make_one_of_three_axes(self, run: Run) -> None:
         (ways, _) = get_args(Recordings.model_fields["axis"].annotation)
         said = re.sub(r"[│\s]+", " ", run("taps", "--help").out)
         stated = said[said.index("How axes become one") :].partition(". ")[0]
         assert all(re.search(rf"\b{way}\b", stated) for way in get_args(ways))
-
-    def test_speed_is_for_files_that_state_none(self, run: Run) -> None:
-        outcome = run("taps", EXAMPLES / "tap_0.3_m_s.csv", "--speed", 0.2)
-        assert "0.3002" in outcome.out
 
     def test_text_files_need_columns_and_scaling_is_stated(self, run: Run) -> None:
         rows = "\n".join(f"{k * 2e-5:.6f} {100 * np.exp(-(((k - 300) / 60) ** 2)):.4f}" for k in range(1500))
@@ -196,14 +168,6 @@ class TestTaps:
         Path("impact.csv").write_text(f"time_s,acceleration_g\n{rows}\n")
         outcome = run("taps", "impact.csv", "--speed", 1.0)
         assert f"{outcome.out}{outcome.err}".count("check the unit of the time (ms called s?)") == 1
-
-    def test_refusals(self, run: Run) -> None:
-        assert_refused(run("taps", "absent.csv"), "absent.csv")
-        Path("empty.csv").write_text("")
-        assert_refused(run("taps", "empty.csv"), "empty.csv", "empty")
-        assert_refused(
-            run("taps", EXAMPLES / "tap_0.2_m_s.csv", "--speed", -1), "--speed -1", "greater than or equal to 0.0001"
-        )
 
 
 def tap_file(path: Path, speed_m_s: float, grip_N: float | None, *, gravity_g: float = 1.0) -> None:
@@ -271,11 +235,6 @@ class TestSensors:
         assert hint not in stated.out
         assert "trusted_from_Hz = 2.0" in stated.out
         assert_refused(run("taps", "tap.csv", "--trusted-from-Hz", 50), "--trusted-from-Hz 50", "less than or equal")
-
-
-def test_a_pattern_that_matches_nothing(run: Run, tmp_path: Path) -> None:
-    """A shell hands the pattern on as it stands where it finds no file either."""
-    assert_refused(run("taps", tmp_path / "rgi" / "tap_*.csv"), "tap_*.csv: matches no file: check the names")
 
 
 def test_the_template_is_a_recording_that_is_read_and_solved(run: Run) -> None:

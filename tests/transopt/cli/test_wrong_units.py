@@ -7,13 +7,9 @@ import pytest
 
 import problems
 from tests.benches.commands import Run, assert_refused
-from tests.benches.places import ROOT
-from transopt.base.errors import InputError
 from transopt.scene.builtin import load_scene, scene_names
-from transopt.scene.keys import with_values
 from transopt.scene.plausible import implausible
 
-RECORDINGS = ROOT / "problems/recordings"
 WOOD, LRA = "wood_on_foam", "lra_click"
 MOTOR = """
 [motor]
@@ -78,12 +74,6 @@ SHEETS = [
     ("--rms-g", 1200, ["--rms-g = 1200 g", "1200 mg, which is 1.2 g"]),
     ("--rise-s", 40, ["--rise-s = 40 s", "40 ms, which is 0.04 s"]),
 ]
-# What a column or a header says, what is typed in its place, and the unit that the message names.
-TAPS = [
-    ("acceleration_g", "acceleration_m_s2", "of the acceleration (g called m/s^2?)"),
-    ("time_s", "time_ms", "of the time (s called ms?)"),
-    ("# speed_m_s: 0.1932", "# speed_m_s: 19.32", "of the speed (a hand taps with 0.01 to 3 m/s)"),
-]
 
 
 @pytest.mark.parametrize(("scene", "old", "new", "words"), SCENES, ids=lambda part: str(part)[:24])
@@ -108,17 +98,6 @@ def test_in_a_datasheet(run: Run, option: str, value: float, words: list[str]) -
     stated = [word for pair in {**SHEET, option: value}.items() for word in pair]
     assert_refused(run("plant", "new", "lra", *stated), *words)
     assert not Path("lra.toml").exists()
-
-
-@pytest.mark.parametrize(("old", "new", "said"), TAPS, ids=lambda part: str(part)[:24])
-def test_in_a_tap(run: Run, old: str, new: str, said: str) -> None:
-    text = (RECORDINGS / "tap_0.2_m_s.csv").read_text()
-    assert old in text
-    Path("tap.csv").write_text(text.replace(old, new))
-    outcome = run("taps", "tap.csv")
-    assert outcome.code == 2
-    assert f"check the unit {said}" in outcome.out + outcome.err
-    assert run("taps", "tap.csv", "--accept").code == 0 or old == "time_s"  # no approach fits such times
 
 
 @pytest.mark.parametrize(
@@ -196,14 +175,6 @@ def test_a_sheet_that_is_accepted_makes_a_scene_that_accepts(run: Run) -> None:
 @pytest.mark.parametrize("name", scene_names())
 def test_every_built_in_scene_passes(name: str) -> None:
     assert not implausible(load_scene(name).model_dump())
-
-
-def test_python_is_told_as_well(tmp_path: Path) -> None:
-    wrong = tmp_path / "mine.toml"
-    wrong.write_text(problems.scene_path(WOOD).read_text().replace("beta = 3.2", "current_A = 4000"))
-    with pytest.raises(InputError, match="4000 mA, which is 4 A"):
-        load_scene(wrong)
-    assert not implausible(with_values(load_scene(WOOD), {"limits.current_A": 5.0}).model_dump())
 
 
 def test_how_well_a_mass_is_known_is_no_mass() -> None:

@@ -1,5 +1,6 @@
-"""`transopt identify device`: the model and the figure it writes, and what it refuses."""
+"""`transopt identify device` and `hand`: what they write, and what they refuse."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +9,12 @@ import typer
 from typer.testing import CliRunner
 
 from controller.record.trial_file import write_measurement
+from problems.generators.tapping_trials import Trials, tapping_trials, write_trials
 from tests.benches.identification import ACCELEROMETER_HZ, Rig, assert_near, mismatched
 from transopt.base.errors import InputError
+from transopt.cli.identify import identify_hand
 from transopt.cli.identify_device import identify_device
+from transopt.identify.hand.lines import COEFFICIENTS
 from transopt.scene.model_file import load_model
 
 
@@ -116,3 +120,48 @@ def test_taps_without_a_sweep_are_refused_by_name(folder: Path, tmp_path: Path) 
     # What the line tells to do.
     code, output, error = call(taps[0], *sorted(folder.glob("sweep_3N*")), "--out", out, "--kind", "drive")
     assert (code, error) == (0, None), output
+
+
+@pytest.fixture(scope="module")
+def trials() -> Trials:
+    return tapping_trials(1)
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Callable[[Trials], list[Path]]:
+    return lambda trials: write_trials(trials, tmp_path / "session")
+
+
+def test_the_command_writes_part_and_figure(
+    trials: Trials, files: Callable[[Trials], list[Path]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "MODEL.json"
+    identify_hand(files(trials)[::2], out)
+    part = load_model(out).hand
+    assert part.parameters == list(COEFFICIENTS)
+    assert part.mass_kg.constant == pytest.approx(0.215, rel=0.06)
+    assert part.grips_N[0] == trials.grip_N[::2].min()
+    assert part.grips_N[-1] == trials.grip_N[::2].max()
+    assert len(part.sources) == 41
+    assert part.verdict.startswith("supports designs with a second_order hand")
+    assert part.kind == "second_order"
+    # What a scene builds from it is the hand of the lines.
+    plant = part.plant(5.0, force_per_current_N_A=1.0)
+    assert 1 / plant.D[0, 0] == pytest.approx(part.mass_kg.constant + 5 * part.mass_kg.per_newton, rel=1e-12)
+    assert (tmp_path / "MODEL_hand.png").read_bytes().startswith(b"\x89PNG")
+    printed = capsys.readouterr().out
+    assert "fourth order: determined: " in printed
+    assert "verdict: supports designs" in printed
+
+
+def test_the_command_refuses_its_options(
+    trials: Trials, files: Callable[[Trials], list[Path]], tmp_path: Path
+) -> None:
+    paths = files(trials)[:3]
+    with pytest.raises(InputError, match=r"model\.toml: a model file ends in \.json"):
+        identify_hand(paths, tmp_path / "model.toml")
+    with pytest.raises(InputError, match=r"--window 1 s: must be 0\.01 to 0\.1 s"):
+        identify_hand(paths, tmp_path / "model.json", 1.0)
+    with pytest.raises(InputError, match=r"3 taps: at least 12"):
+        identify_hand(paths, tmp_path / "model.json")
+    assert not (tmp_path / "model.json").exists()
