@@ -1,7 +1,6 @@
 """Actuators that are no stylus on a motor: clicks of an LRA against a dense program, other inputs, other words."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -11,17 +10,14 @@ from scipy.integrate import solve_ivp
 
 import problems
 from tests.benches import dense
-from tests.benches.libraries import proven_again
 from transopt.base.errors import InputError
 from transopt.design.build import Build, build_library
 from transopt.design.verify import verify_library
 from transopt.library.export import export_library
 from transopt.library.library import Library
-from transopt.library.proven import load_proven
 from transopt.plant.state_space import StateSpace
 from transopt.problem.answer import Status
 from transopt.report.comparison import Comparison
-from transopt.report.figures import bode_figure
 from transopt.report.markdown import build_markdown
 from transopt.report.report_json import build_json
 from transopt.scene.keys import with_values
@@ -83,29 +79,6 @@ def largest_stroke_m(plant: StateSpace, command: np.ndarray, dt_s: float) -> flo
 
 
 class TestLibrary:
-    def test_it_is_read_back(self, click: Build, tmp_path: Path) -> None:
-        proven_again(click.library, tmp_path)
-        with np.load(tmp_path / "library.npz", allow_pickle=False) as file:
-            names, meta = set(file.files), json.loads(str(file["meta"]))
-            assert file["targets"].tolist() == ["click 150 Hz", "click 250 Hz"]
-        assert meta["schema"] == 4
-        assert click.library.driven_by.unit == "V"
-        assert {
-            "command",
-            "transient_command",
-            "plant_input",
-            "peak_input",
-            "mu_voltage_upper",
-            "mu_stroke_lower",
-        } <= names
-        assert "mu_current_upper" not in names
-
-    def test_a_changed_command_is_not_proven(self, click: Build, tmp_path: Path) -> None:
-        changed = click.library.command * 0.98
-        replace(click.library, command=changed, transient_command=changed).save(tmp_path / "library.npz")
-        with pytest.raises(InputError, match=r"above the optimum|is off by"):
-            load_proven(tmp_path / "library.npz")
-
     def test_has_no_speeds_to_ask_for(self, click: Build) -> None:
         with pytest.raises(InputError, match="no speeds but targets: ask for one of click 150 Hz, click 250 Hz"):
             click.library.at(0.2, 3.0)
@@ -133,21 +106,6 @@ class TestWords:
         assert not any("current" in key or key.endswith("_A") for key in rows[0])
         assert "limit 3 V" in repr(click.library)
         assert "m/s" not in repr(click)
-
-    def test_the_report_has_the_figures_of_the_trade(self, click: Build) -> None:
-        section = build_markdown(click, full=False).split("## The figures of the trade")[1].split("##")[0]
-        assert "pulse / ring" in section
-        assert section.count("| click ") == 2
-
-    def test_the_response_is_per_volt(self, click: Build) -> None:
-        assert click.library is not None
-        magnitude, _ = bode_figure(click.library).axes
-        assert magnitude.get_ylabel() == "acceleration per voltage [g/V]"
-
-    def test_the_figure_has_the_unit_of_its_axis(self, click: Build) -> None:
-        labels = [axes.get_ylabel() for axes in click.plot().axes]
-        assert "voltage [V]" in labels
-        assert not any("[A]" in label for label in labels)
 
 
 class TestScene:
@@ -223,21 +181,6 @@ class TestSag:
             assert one.figures.tap_error > free.figures.tap_error
 
 
-def test_calm_costs_little_and_rings_less() -> None:
-    plain, calm = (built(lra({"weights.calm": weight})) for weight in (1.0, 100.0))
-    rings = []
-    for (one,), (other,) in zip(plain.entries, calm.entries, strict=True):
-        after = one.problem.grid.switching_times_s > 2 / 150.0
-
-        def ring(entry: Any, after: Any = after) -> float:
-            return float(np.sum(entry.predicted_m_s2[after] ** 2))
-
-        assert ring(other) < 0.5 * ring(one)
-        rings.append(ring(other) / ring(one))
-        assert other.figures.tap_error < one.figures.tap_error + 0.03
-    assert min(rings) < 0.01
-
-
 @pytest.mark.parametrize("window_s", [14e-3, 30e-3, 60e-3])
 def test_the_calmer_the_less_is_left_behind_the_target_in_the_window_and_after_it(window_s: float) -> None:
     """A window of 14 ms is over as soon as the click at 150 Hz is: all that can ring does so after it."""
@@ -253,29 +196,6 @@ def test_the_calmer_the_less_is_left_behind_the_target_in_the_window_and_after_i
     assert np.all(energies[1:] < 0.2 * energies[:-1])
     # A window of 60 ms has ended long after the ringing: what is left there is next to nothing with any weight.
     assert peaks[-1] < max(0.3 * peaks[0], 1e-3 * problem.target.window_m_s2.max())
-
-
-@pytest.mark.parametrize(
-    ("resonance_Hz", "quality", "frequency_Hz", "window_s"),
-    [(220.0, 20.0, 250.0, 14e-3), (90.0, 3.0, 110.0, 30e-3), (150.0, 40.0, 110.0, 60e-3)],
-)
-@pytest.mark.parametrize("stroke_m", [0.15e-3, 0.6e-3])
-def test_what_plays_behind_other_targets_falls_with_the_weight_too(
-    resonance_Hz: float, quality: float, frequency_Hz: float, window_s: float, stroke_m: float
-) -> None:
-    scene = lra({"model.resonance_Hz": resonance_Hz, "model.quality": quality, "limits.stroke_m": stroke_m})
-    target = scene.targets[0].model_copy(update={"frequency_Hz": frequency_Hz, "cycles": 1.5})
-    scene = with_values(
-        scene.model_copy(update={"targets": [target]}), {"time.stages": round(window_s / scene.time.dt_s)}
-    )
-    left = []
-    for weight in (1.0, 5.0, 50.0):
-        ((entry,),) = built(with_values(scene, {"weights.calm": weight})).entries
-        grid, asked = entry.problem.grid, entry.problem.target
-        off = np.append(entry.played.acceleration_m_s2, entry.played.after_m_s2) - asked.continued_m_s2
-        behind = np.append(grid.switching_times_s, grid.after_times_s) > 1.5 / frequency_Hz
-        left.append(float(np.sum(off[behind] ** 2)))
-    assert left[0] > left[1] > left[2]
 
 
 SPREAD: dict[str, Any] = {

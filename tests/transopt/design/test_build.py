@@ -204,12 +204,6 @@ def test_a_library_and_its_entries_hold_commands_multipliers_and_targets_once(
     assert bound > 0
 
 
-def test_progress_counts_the_entries(scene: Scene, taps: list[Recording]) -> None:
-    done: list[int] = []
-    build_library(scene, taps, progress=done.append)
-    assert sum(done) == 12
-
-
 def test_where_no_solver_proves_anything_the_wanted_ones_answer_stands(make_problem: ProblemMaker) -> None:
     """Two iterations are too few for all."""
     (found,) = solve_certified([make_problem(0.4, 5.0)], SolverOptions("casadi-piqp", max_iterations=2))

@@ -79,11 +79,6 @@ class TestDesign:
         in_g = entry.predicted_m_s2 / 9.80665
         assert any(y.size >= in_g.size and np.allclose(y[: in_g.size], in_g, atol=1e-9) for y in drawn)
 
-    def test_its_report_is_that_of_the_command(self, design: Build, tmp_path: Path) -> None:
-        names = {path.name for path in to.write_report(design, tmp_path, figures=False)}
-        assert names == {"library.npz", "nonlinear.md", "nonlinear.json", "nonlinear.csv"}
-        assert "stationary" in (tmp_path / "nonlinear.md").read_text()
-
     def test_says_what_the_margin_of_the_stroke_costs(self, design: Build, tmp_path: Path) -> None:
         """To first order: a stroke that is longer by a tenth of the margin lowers J by a tenth of the cost."""
         [entry] = design.all_entries()
@@ -96,9 +91,6 @@ class TestDesign:
         saved = 1 - other.certificate.objective / entry.certificate.objective
         assert saved == pytest.approx(0.1 * cost, rel=0.1)
         assert f"- {part}: {said}" in nonlinear_markdown(design)
-
-    def test_is_of_the_public_face(self) -> None:
-        assert to.design_nonlinear is design_nonlinear
 
 
 class TestRefusedAnswer:

@@ -59,10 +59,6 @@ def test_side_by_side_as_alone(make_problem: ProblemMaker, walled: WalledMaker, 
     assert "temperature" not in together[3].left_out
 
 
-def test_nothing_asked_is_nothing_found() -> None:
-    assert at_their_instants([], OPTIONS) == []
-
-
 @pytest.mark.parametrize("headroom_K", [20.0, 0.02])
 def test_a_proof_holds_under_further_limits_as_far_as_they_are_met(
     make_problem: ProblemMaker, scene: Scene, headroom_K: float

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 import problems
 from problems.stress.cases import StressCase
 from problems.stress.draw import drawn
-from problems.stress.judge import judge
 from problems.stress.parts import Current, DrawnDevice, Horizon, Surface
 from transopt.base.errors import InputError
 from transopt.design import remedy
@@ -207,14 +206,6 @@ def test_nothing_is_tried_where_the_replay_has_no_digits(build: Build) -> None:
     (said,) = diverged.shortfalls(entry.problem, entry.solution.command, entry.predicted_m_s2)
     fastest_Hz = np.abs(np.linalg.eigvals(entry.problem.stage.plant.A)).max() / (2 * np.pi)
     assert f"fastest mode, at {fastest_Hz:.2g} Hz" in said
-
-
-def test_a_refusal_without_a_remedy_is_bad(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert judge(STARVED).kind == "refused: INFEASIBLE"
-    monkeypatch.setattr(remedy, "does", lambda *_: False)
-    outcome = judge(STARVED)
-    assert outcome.kind == "bad: no remedy"
-    assert "tried in vain, as far as limits.supply_V = " in outcome.detail
 
 
 def test_a_trial_asks_one_solver_and_explains_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,28 +5,29 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.benches.libraries import part_of
 from transopt.design.verify import verify_library
 from transopt.library.library import Library
 from transopt.problem.answer import OBJECTIVE_SCALE, Status
 from transopt.solvers import prove
+
+
+@pytest.fixture(scope="module")
+def library(library: Library) -> Library:
+    """Two speeds of the default grid."""
+    return part_of(library, [0, 1], [0, 1, 2])
+
 
 CLAIMS = ("duality_gap", "primal_violation")  # next to zero, so that a share of them is next to nothing
 
 
 def test_a_library_verifies_from_its_file_alone(library: Library) -> None:
     checks = verify_library(library)
-    assert len(checks) == 12
+    assert len(checks) == 6
     assert all(not check.shortfalls for check in checks)
 
 
-@pytest.mark.parametrize(
-    "field",
-    [
-        *("tap_error", "error_after", "heat_A2_s", "energy", "peak_input", "peak_temperature_C", "objective"),
-        *("plant_input", "acceleration_m_s2", "acceleration_after_m_s2", "transient_command", "floor"),
-        *("duality_gap", "primal_violation"),
-    ],
-)
+@pytest.mark.parametrize("field", ["tap_error", "error_after", "objective", "plant_input", *CLAIMS])
 def test_what_does_not_follow_from_the_waveform(library: Library, field: str) -> None:
     changed = getattr(library, field).copy()
     changed[1, 2] = 1.01 * changed[1, 2] + (1e-3 if field in CLAIMS else 0.0)
