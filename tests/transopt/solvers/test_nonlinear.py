@@ -155,6 +155,7 @@ class TestAgainstAGeneralOptimiser:
         assert objective(free) == pytest.approx(NonlinearEffect(problem, found.command).objective, rel=1e-5)
         assert slacks(free).min() >= -1e-5
 
+    @pytest.mark.parametrize("case", ["stroke", "current", "pole"], indirect=True)
     def test_no_feasible_command_nearby_is_better(self, case: tuple[NonlinearProblem, Solution]) -> None:
         # SLSQP begins at the answer, with gradients by differences of the other integrator's motion.
         problem, found = case

@@ -158,12 +158,6 @@ class TestDecoupled:
         for own, each in zip(answer.command, single, strict=True):
             np.testing.assert_allclose(own, each.command, atol=1e-5)
 
-    def test_joint_objective_of_any_command_is_the_mean_of_its_axes(self) -> None:
-        joint, alone = self.problems()
-        commands = np.random.default_rng(0).standard_normal((3, joint.grid.stages))
-        values = [p.objective(c, p.accelerations(c)) for p, c in zip(alone, commands, strict=True)]
-        assert joint.objective(commands, joint.accelerations(commands)) == pytest.approx(np.mean(values), rel=1e-12)
-
 
 class TestCertificate:
     def test_gradient_is_the_derivative_of_the_lagrangian(self) -> None:
