@@ -1,16 +1,21 @@
-"""Problems of one grip posed together: each is the one posed alone, and they share what no target changes."""
+"""Problems of one grip posed together and the linear stage that they share."""
 
-from dataclasses import replace
+import pickle
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 import problems
+from tests.conftest import ProblemMaker, WalledMaker
 from transopt.base.errors import InputError
 from transopt.design.context import Context, wanted_of
 from transopt.problem.leave_out import leave_out, leave_out_all
+from transopt.problem.objective.weighting import pacinian
 from transopt.problem.posing import Wanted
 from transopt.problem.problem import FIELDS, TransientProblem
+from transopt.problem.stage import LinearStage, linear_stage
+from transopt.proof.continuous import accurate
 from transopt.scene.keys import with_values
 from transopt.scene.recordings import recordings_of
 
@@ -93,3 +98,74 @@ def test_equal_devices_of_any_scene_are_one() -> None:
     faster = Context(with_values(scene, {"amplifier.pole_Hz": 2000.0})).stage(5.0)
     assert own is not faster
     assert own.plant.numbers == faster.plant.numbers != heavier.plant.numbers
+
+
+def assert_same(one: LinearStage, other: LinearStage) -> None:
+    for field in fields(LinearStage):
+        value = getattr(one, field.name)
+        if isinstance(value, float | np.ndarray):
+            np.testing.assert_allclose(value, getattr(other, field.name), rtol=1e-13, atol=0)
+    for own, its in zip(one.outputs, other.outputs, strict=True):
+        assert own.keys() == its.keys()
+        for name, (by_state, by_movement) in own.items():
+            np.testing.assert_allclose(by_state, its[name][0], rtol=1e-13, atol=0)
+            assert by_movement == pytest.approx(its[name][1], rel=1e-13)
+
+
+def alone(problem: TransientProblem) -> TransientProblem:
+    """Copy the problem, with devices of which nothing was computed before."""
+    return replace(problem, stage=replace(problem.stage), spread=tuple(replace(device) for device in problem.spread))
+
+
+def test_what_problems_share_is_that_of_each_alone(make_problem: ProblemMaker, walled: WalledMaker) -> None:
+    problem, over_wall = make_problem(0.4, 3.0), walled(800.0, 0.4)
+    stage, wall = problem.stage, over_wall.wall
+    stiffer = replace(wall, wall=replace(wall.wall, stiffness_N_m=900.0))
+    other = replace(make_problem(0.4, 5.0).stage)
+    variants = [
+        problem,
+        replace(make_problem(0.1, 3.0), stage=stage),
+        replace(make_problem(0.2, 3.0, current_A=1.25), stage=stage),
+        replace(make_problem(0.4, 3.0, stages=90), stage=stage),
+        replace(problem, terms=(replace(problem.terms[0], error_filter=pacinian(problem.grid.dt_s)),)),
+        replace(
+            problem, terms=(problem.terms[0], replace(problem.terms[0], error_filter=pacinian(problem.grid.dt_s)))
+        ),
+        replace(problem, heat_price=1e-4),
+        replace(problem, spread=(other,)),
+        replace(problem, spread=(other, stage)),
+        over_wall,
+        replace(over_wall, wall=stiffer),
+        problem,
+    ]
+    for variant in variants:
+        assert_same(linear_stage(variant), linear_stage(alone(variant)))
+
+
+def test_units_are_those_of_the_limit(make_problem: ProblemMaker) -> None:
+    strong, weak = make_problem(0.4, 3.0), make_problem(0.2, 3.0, current_A=1.25)
+    assert weak.input_scale < strong.input_scale
+    one, other = linear_stage(strong), linear_stage(replace(weak, stage=strong.stage))
+    assert other.A is one.A
+    np.testing.assert_allclose(other.units / one.units, weak.input_scale / strong.input_scale)
+
+
+def test_scaled_and_physical_matrices_are_one_system(make_problem: ProblemMaker) -> None:
+    problem = make_problem(0.4, 3.0)
+    scaled, physical = linear_stage(problem), linear_stage(problem, physical_scale=False)
+    # Apart from the current and the command, which have the limit as their unit in both.
+    by = scaled.units / physical.units
+    np.testing.assert_allclose(scaled.A, physical.A * by / by[:, None], rtol=1e-12, atol=1e-300)
+    np.testing.assert_allclose(scaled.C, physical.C * by, rtol=1e-12)
+    np.testing.assert_allclose(scaled.E, physical.E, rtol=1e-12)
+
+
+def test_a_device_of_which_things_are_kept_goes_to_another_process(make_problem: ProblemMaker) -> None:
+    problem = make_problem(0.4, 3.0)
+    command = np.eye(1, problem.grid.stages)[0]
+    linear_stage(problem)
+    accurate(problem.stage, problem.grid, command[None], None)
+    assert problem.stage.derived
+    there = pickle.loads(pickle.dumps(problem))
+    assert_same(linear_stage(there), linear_stage(problem))
+    np.testing.assert_array_equal(there.stage.rollout(command)[0], problem.stage.rollout(command)[0])
