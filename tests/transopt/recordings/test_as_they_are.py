@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.benches.recording_files import DT_S, TAP_M_S2, TIMES_S, load, mat, npz, refusal, text, wav
+from tests.benches.recording_files import DT_S, TAP_M_S2, TIMES_S, load, mat, npz, refusal, text
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
 from transopt.files.names import apart, stated_units
@@ -111,19 +111,6 @@ def test_text_in_every_usual_encoding(tmp_path: Path, head: str, encoding: str) 
     recording = load(tmp_path, f"{head}\n{rows}".encode(encoding))
     np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-6)
     assert recording.acceleration.dt_s == pytest.approx(DT_S, rel=1e-9)
-
-
-@pytest.mark.parametrize("encoding", ["cp1252", "mac_roman"])
-def test_remarks_in_a_code_page_keep_nobody_from_reading(tmp_path: Path, encoding: str) -> None:
-    recording = load(tmp_path, f"# Prüfer: Öhler\ntime [s],acc [g]\n{IN_G}".encode(encoding))
-    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-6)
-
-
-def test_every_quantity_has_usual_names(tmp_path: Path) -> None:
-    columns = text(TIMES_S, TAP_M_S2, 1e3 * TAP_M_S2, TAP_M_S2 + 1, 1e3 * TAP_M_S2)
-    recording = load(tmp_path, f"t [s],a [m/s2],pos [mm],Force [N],i [mA]\n{columns}")
-    for name, offset in (("position", 0), ("force", 1), ("current", 0)):
-        np.testing.assert_allclose(getattr(recording, name).values, TAP_M_S2 + offset, atol=1e-9)
 
 
 def test_a_hammers_text_needs_only_its_units(tmp_path: Path) -> None:
@@ -336,11 +323,6 @@ def test_blanks_that_are_not_regular_are_named(tmp_path: Path, blank: set[int]) 
     assert message.startswith(f"row {min(blank) + 2}, column acc [g]: '' is no number; correct it")
 
 
-def test_columns_that_are_proposed_hold_all_that_is_needed(tmp_path: Path) -> None:
-    said = refusal(tmp_path, f"x,y\n{IN_G}")
-    assert "for example --units 'x=s,y=m/s^2'" in said
-
-
 def test_columns_in_the_wrong_order(tmp_path: Path) -> None:
     """A time that goes back all the while is none; one that goes back once has rows out of order."""
     swapped = "\n".join(",".join(reversed(line.split(","))) for line in IN_G.splitlines())
@@ -348,12 +330,6 @@ def test_columns_in_the_wrong_order(tmp_path: Path) -> None:
     rows = IN_G.splitlines()
     rows[20], rows[21] = rows[21], rows[20]
     assert "sort the rows" in refusal(tmp_path, "\n".join(["time [s],acc [g]", *rows]))
-
-
-def test_a_stated_unit_goes_before_that_of_the_file(tmp_path: Path) -> None:
-    for key in ("acc", "acc [m/s^2]", "acceleration"):
-        recording = load(tmp_path, f"time [s],acc [m/s^2]\n{IN_G}", units={key: "g"})
-        np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-6)
 
 
 def test_a_stated_unit_against_that_of_the_file_is_noted(tmp_path: Path) -> None:
@@ -368,12 +344,6 @@ def test_units_of_a_command_line() -> None:
     assert stated_units("time=ms, acc=g") == {"time": "ms", "acc": "g"}
     with pytest.raises(InputError, match="--units acc: 'acc' has no unit; write --units"):
         stated_units("acc")
-
-
-def test_a_channel_of_a_stereo_file(tmp_path: Path) -> None:
-    stereo = wav(np.stack([np.zeros(200), TAP_M_S2 / 100], axis=1))
-    recording = load(tmp_path, stereo, ".wav", full_scale_m_s2=100.0, channel=2)
-    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
 
 
 # ---- a unit at the end of any name ------------------------------------------------------------------------------

@@ -201,12 +201,6 @@ def test_samples_on_the_grid_are_left_whatever_their_stamps_say(tmp_path: Path) 
     assert recording.acceleration.start_s == pytest.approx(TIMES_S[0], abs=0.05 * DT_S)
 
 
-def test_every_quantity_is_resampled_alike(tmp_path: Path) -> None:
-    recording = load_smooth(tmp_path, TIMES_S + 0.2 * DT_S * np.sin(np.arange(TIMES_S.size)))
-    np.testing.assert_array_equal(recording.position.values, recording.acceleration.values)
-    assert recording.position.dt_s == recording.acceleration.dt_s
-
-
 def test_drift_within_a_percent_of_each_step_is_resampled(tmp_path: Path) -> None:
     """A clock 0.9 % fast, then 0.9 % slow: every step passes, the samples lie four steps off the grid."""
     steps_s = DT_S * np.where(np.arange(999) < 500, 0.991, 1.009)

@@ -32,7 +32,7 @@ from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
 from transopt.recordings.recording import load_recording
 
 FUZZED = settings(
-    max_examples=60,  # of each format; tests/campaigns/test_hostile_files.py draws more
+    max_examples=30,  # of each format; tests/campaigns/test_hostile_files.py draws more
     deadline=None,
     database=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],

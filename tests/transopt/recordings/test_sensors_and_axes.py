@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.benches.places import CASES
 from tests.benches.recording_files import DT_S, TAP_M_S2, TIMES_S, load, mat, npz, refusal, text
 from tests.benches.tap_formats import hdf5, tdms, universal, workbook
 from transopt.base.errors import InputError
@@ -361,43 +360,6 @@ def test_damaged_files_are_read_or_refused(
 
 
 # ---- files as they were brought ---------------------------------------------------------------------------
-
-BROUGHT = {
-    "milo.csv": {},
-    "klipper.csv": {"units": {"time": "s", "acceleration": "mm/s^2"}},
-    "picoscope.csv": {"units": {"Channel A": "mV @ 100 mV/g"}},
-    "rigol.csv": {"units": {"CH1": "V @ 0.1 V/g"}},
-    "iso.csv": {"rate_Hz": 1e4},
-    "fifo.csv": {"rate_Hz": 3200.0},
-    "metadata.csv": {},
-    "cp1252.csv": {},
-    "multirate.csv": {},
-    "gn.csv": {},
-    "chans.mat": {"units": {"time": "s", "acc": "m/s^2"}, "axis": "z"},
-}
-
-
-@pytest.mark.parametrize("name", BROUGHT)
-def test_brought_files_hold_the_same_tap(name: str) -> None:
-    if not (CASES / name).exists():
-        pytest.skip("the files as people bring them are not here")
-    base, own = (
-        load_recording(CASES / file, Layout(**options)).acceleration.values  # type: ignore[arg-type]
-        for file, options in (("base.csv", {}), (name, BROUGHT[name]))
-    )
-    peaks = [np.abs(values - np.median(values)).max() for values in (base, own)]
-    assert peaks[1] == pytest.approx(peaks[0], rel=0.02)
-
-
-@pytest.mark.parametrize(
-    ("name", "units"), [("ldv.csv", {}), ("frf.npz", {"freq": "Hz", "frf": "m/s^2/V"}), ("uff_g.uff", {})]
-)
-def test_brought_responses_are_the_same(name: str, units: dict[str, str]) -> None:
-    if not (CASES / name).exists():
-        pytest.skip("the files as people bring them are not here")
-    found = read_response(CASES / name, Layout(units=units))
-    gain = np.interp(150.0, found.frequencies_Hz, np.abs(found.response))
-    assert gain == pytest.approx(32.0, rel=0.01)
 
 
 @pytest.mark.parametrize("binary", [False, True])

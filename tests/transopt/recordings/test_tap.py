@@ -8,7 +8,6 @@ import pytest
 from tests.benches.pulses import pulse
 from transopt.base.errors import InputError
 from transopt.base.signals import Signal, integral
-from transopt.recordings.onset import find_onsets
 from transopt.recordings.recording import Recording
 from transopt.recordings.settings import Recordings
 from transopt.recordings.tap import check_usable, prepare, prepare_all, read_recordings
@@ -57,10 +56,6 @@ class TestPrepare:
         plain = prepare(pulse(), SETTINGS)
         assert (tap.offset_m_s2, tap.polarity) == (pytest.approx(-9.81, abs=1e-9), -1)
         np.testing.assert_allclose(tap.acceleration.values, plain.acceleration.values, atol=1e-9)
-
-    def test_polarity_can_be_stated(self) -> None:
-        settings = SETTINGS.model_copy(update={"polarity": "negative"})
-        assert prepare(pulse(polarity=-1), settings).polarity == -1
 
     def test_no_baseline_is_said(self) -> None:
         tap = prepare(pulse(onset_s=0.0), SETTINGS)
@@ -141,14 +136,6 @@ class TestPrepare:
         known, unknown = (prepare(pulse(speed=speed), SETTINGS) for speed in (0.2, None))
         assert known.peak_m_s2 == pytest.approx(float(np.abs(known.acceleration.values).max()), rel=1e-12)
         assert unknown.peak_m_s2 == pytest.approx(known.peak_m_s2, rel=1e-12)
-
-    def test_clipping_is_counted(self) -> None:
-        recording = pulse()
-        cut = replace(recording.acceleration, values=np.minimum(recording.acceleration.values, 30.0))
-        tap = prepare(replace(recording, acceleration=cut), SETTINGS)
-        assert tap.clipped_samples >= 3
-        assert "end stop" in tap.notes[-1]
-        assert prepare(recording, SETTINGS).clipped_samples == 0
 
     @pytest.mark.parametrize(
         ("recording", "doubt"),
@@ -245,10 +232,6 @@ def test_files_are_found_by_pattern_and_a_missing_folder_is_named(tmp_path) -> N
     assert [recording.name for recording in found] == ["tap_a.csv", "tap_b.csv"]
     with pytest.raises(InputError, match=r"'\*.txt' matches no file in .*--recordings FOLDER.*\(source: the web\)"):
         read_recordings(Recordings(files=["*.txt"], folder=str(tmp_path), source="the web"))
-
-
-def test_onset_of_a_signal_that_starts_high() -> None:
-    assert find_onsets([Signal(1.0, 1e-3, np.array([5.0, 10.0, 3.0, 1.0]))]) == [1.0]
 
 
 def test_speeds_by_file_name(tmp_path) -> None:
