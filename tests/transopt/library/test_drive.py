@@ -1,8 +1,10 @@
-"""Drives: the nearest held waveform leaves, files read back to it, and the replay counts what is lost."""
+"""Files for a driver and the C header of named targets: what leaves, and what a program reads of it."""
 
 import csv
 import re
+import shutil
 import struct
+import subprocess
 import wave
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import signal
-from scipy.io import loadmat, wavfile
+from scipy.io import wavfile
 
 from tests.benches.actuators import clicks
 from transopt.base.errors import InputError
@@ -343,12 +345,6 @@ def _table(path: Path) -> tuple[list[str], list[dict[str, str]]]:
 
 
 class TestWholeLibrary:
-    def test_mat_has_the_targets(self, lra: Library, tmp_path: Path) -> None:
-        export_library(lra, tmp_path / "d.mat")
-        read = loadmat(tmp_path / "d.mat")
-        np.testing.assert_array_equal(read["command"], lra.command)
-        assert [str(cell.item()) for cell in read["targets"].ravel()] == ["click 150 Hz", "tick, soft"]
-
     def test_csv_has_names_and_volts(self, lra: Library, tmp_path: Path) -> None:
         export_library(lra, tmp_path / "d.csv")
         comments, rows = _table(tmp_path / "d.csv")
@@ -358,8 +354,52 @@ class TestWholeLibrary:
         np.testing.assert_array_equal([float(row["command_V"]) for row in own], lra.command[1, 0])
         np.testing.assert_array_equal([float(row["voltage_V"]) for row in own], lra.plant_input[1, 0])
 
-    def test_wav_to_listen_to(self, lra: Library, tmp_path: Path) -> None:
-        export_library(lra, tmp_path / "d.wav")
-        rate, heard = wavfile.read(tmp_path / "d.wav")
-        assert rate == 48000
-        assert heard.size == 2 * 3 * (960 + 14400)
+
+PROGRAM = """\
+#include "clicks.h"
+#include "clicks.h"
+#include <stdio.h>
+int main(void)
+{
+    int32_t j, k;
+    for (j = 0; j < TRANSOPT_DRIVES; ++j) {
+        const struct transopt_drive *drive = &transopt_drives[j];
+        printf("%s\\n%.9g %.9g\\n", drive->name, (double)drive->rate_Hz, (double)drive->scale_V);
+        for (k = 0; k < drive->length; ++k) printf("%d ", (int)drive->samples[k]);
+        printf("\\n");
+    }
+    return (int)(sizeof transopt_drive_click_150_Hz[0]);
+}
+"""
+COMPILERS = {"gcc": ["-std=c99", "-x", "c"], "g++": ["-std=c++11", "-x", "c++"]}
+WARNINGS = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
+
+
+class TestHeader:
+    @pytest.mark.parametrize("compiler", COMPILERS)
+    @pytest.mark.parametrize("bits", ["8", "16"])
+    def test_a_program_reads_what_left(self, lra: Library, tmp_path: Path, bits: str, compiler: str) -> None:
+        if shutil.which(compiler) is None:
+            pytest.skip(f"no {compiler} on this machine")
+        _, found = export_drive(lra, tmp_path / "clicks.h", bits=bits, rate_Hz=8000.0)
+        (tmp_path / "main.c").write_text(PROGRAM)
+        words = [compiler, *WARNINGS, *COMPILERS[compiler], "main.c", "-o", "program"]
+        built = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert built.returncode == 0, built.stderr
+        ran = subprocess.run([tmp_path / "program"], capture_output=True, text=True, check=False)
+        assert ran.returncode == int(bits) // 8
+        lines = ran.stdout.splitlines()
+        assert lines[::3] == ["click 150 Hz", "tick, soft"]
+        for each, numbers, samples in zip(found, lines[1::3], lines[2::3], strict=True):
+            assert list(map(float, numbers.split())) == pytest.approx([8000.0, each.drive.driver.scale], rel=1e-6)
+            np.testing.assert_array_equal(list(map(int, samples.split())), each.drive.samples)
+
+    @pytest.mark.parametrize("bits", ["24", "32", "float"])
+    def test_other_depths_are_refused(self, lra: Library, tmp_path: Path, bits: str) -> None:
+        with pytest.raises(InputError, match=r"--bits: .* give --bits 8 or --bits 16"):
+            export_drive(lra, tmp_path / "d.h", bits=bits)
+
+    def test_taps_that_a_header_blends_are_refused(self, library: Library, tmp_path: Path) -> None:
+        with pytest.raises(InputError, match=r"speeds and grips, .* leave --drive out"):
+            export_drive(library, tmp_path / "d.h")
+        assert not list(tmp_path.iterdir())
