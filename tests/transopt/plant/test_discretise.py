@@ -77,15 +77,6 @@ def test_design_and_replay_agree_with_an_independent_integrator(
     assert np.abs(played.plant_input - expected_current).max() <= 1e-9 * 4
 
 
-def test_hold_preserves_the_step_response(make_problem: ProblemMaker) -> None:
-    """The defining property of a zero-order hold: a constant command gives the continuous step response."""
-    problem = make_problem(stages=200)
-    amplifier = problem.stage.amplifier
-    _, current = problem.stage.rollout(np.full(200, 2.0))
-    times = 1e-4 * np.arange(200)
-    np.testing.assert_allclose(current, 2 * (1 - np.exp(-amplifier.rate_rad_s * times)), atol=1e-12)
-
-
 @pytest.mark.parametrize("ideal", [False, True])
 def test_adjoint_is_the_transpose_of_the_rollout(make_problem: ProblemMaker, ideal: bool) -> None:
     known = make_problem(ideal=ideal).stage

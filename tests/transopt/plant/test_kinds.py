@@ -5,13 +5,15 @@ import pytest
 from scipy import integrate
 
 from transopt.base.errors import InputError
+from transopt.plant.chain import Link, chain
 from transopt.plant.discretise import discretise
 from transopt.plant.drive import Drive
-from transopt.plant.fourth_order import FourthOrder
-from transopt.plant.hand import HandSection
+from transopt.plant.fourth_order import FourthOrder, fourth_order
+from transopt.plant.hand import Hand, HandSection, LinearInGrip
 from transopt.plant.kind import PlantKind
 from transopt.plant.motor import Tip
-from transopt.plant.second_order import SecondOrder
+from transopt.plant.second_order import SecondOrder, second_order
+from transopt.scene.scene import Scene
 
 TIP = Tip(force_per_current_N_A=1.25, moving_mass_kg=0.014, stiffness_N_m=6e4, damping_N_s_m=8.0)
 HAND = HandSection(
@@ -71,3 +73,93 @@ def test_the_free_device_has_no_hand(name: str) -> None:
     plant = KINDS[name][0].plant(0.0, TIP)
     with pytest.raises(InputError, match="it has no output hand position; it has position, velocity"):
         plant.output("hand position")
+
+
+FREQUENCIES_HZ = np.array([1.0, 4.0, 5.0, 80.0, 390.0])
+
+
+@pytest.mark.parametrize("grip_N", [0.0, 1.0, 3.0, 5.0, 20.0])
+def test_second_order_is_the_seeds_equations_3_to_5(grip_N: float) -> None:
+    mass, damping, stiffness = 0.215 - 0.00328 * grip_N, 6.713 + 0.369 * grip_N, 75.65 + 14.72 * grip_N
+    s = 2j * np.pi * FREQUENCIES_HZ
+    expected = 1.25 * s**2 / (mass * s**2 + damping * s + stiffness)
+    found = second_order(grip_N, force_per_current_N_A=1.25).response(FREQUENCIES_HZ)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_fourth_order_is_two_masses_by_elimination() -> None:
+    constant = LinearInGrip
+    hand = Hand(constant(0.05, 0), constant(900, 100), constant(2, 0.5), constant(150, 20), constant(5, 1))
+    s = 2j * np.pi * FREQUENCIES_HZ
+    skin = 900 + 3 * 100 + (2 + 3 * 0.5) * s
+    arm = 150 + 3 * 20 + (5 + 3) * s
+    stylus = 0.026 + 0.014
+    # Force balance of the hand mass eliminated by hand.
+    dynamic = stylus * s**2 + skin - skin**2 / (0.05 * s**2 + skin + arm)
+    model = fourth_order(3.0, hand=hand, stylus_mass_kg=0.026, moving_mass_kg=0.014, force_per_current_N_A=1.3)
+    np.testing.assert_allclose(model.response(FREQUENCIES_HZ), 1.3 * s**2 / dynamic, rtol=1e-11)
+
+
+@pytest.mark.parametrize("grip_N", [1.0, 3.0, 5.0])
+def test_default_device_has_the_slopes_and_the_resonance_of_design(scene: Scene, grip_N: float) -> None:
+    plant = scene.plant(grip_N)
+    gain = np.abs(plant.response(FREQUENCIES_HZ)) / 9.80665
+    low = 20 * np.log10(gain[1] / gain[0]) / np.log10(4 / 1)
+    middle = 20 * np.log10(gain[3] / gain[2]) / np.log10(80 / 5)
+    assert 36 <= low <= 40
+    assert 14 <= middle <= 24
+    if grip_N == 3:
+        assert 18 <= middle <= 22
+    assert gain[3] == pytest.approx(3.1, abs=0.15)
+    sweep = np.linspace(100, 1000, 1801)
+    magnitude = np.abs(plant.response(sweep)) / 9.80665
+    assert sweep[np.argmax(magnitude)] == pytest.approx(390, abs=8)
+    assert 8 <= magnitude.max() <= 9
+
+
+def test_drive_at_the_tip_is_a_datasheet_motor_through_its_ratio(scene: Scene) -> None:
+    tip = scene.drive_at_tip()
+    assert tip.force_per_current_N_A == pytest.approx(1.25, rel=1e-3)
+    assert tip.moving_mass_kg == pytest.approx(0.014, rel=1e-3)
+
+
+@pytest.mark.parametrize("grip_N", [0.0, 1.0, 5.0])
+def test_chains_are_passive(scene: Scene, grip_N: float) -> None:
+    """No pole in the right half plane, and a force on the motor mass never gains energy (Re of mobility >= 0)."""
+    plant = scene.plant(grip_N)
+    assert np.linalg.eigvals(plant.A).real.max() <= 1e-9
+    s = 2j * np.pi * np.geomspace(0.1, 5e3, 200)
+    states = np.linalg.solve(s[:, None, None] * np.eye(plant.order) - plant.A, plant.B)[:, :, 0]
+    motor_velocity = (plant.Cv @ states.T)[0]
+    assert motor_velocity.real.min() >= -1e-12
+
+
+def test_encoder_sees_the_motor_mass(scene: Scene) -> None:
+    plant = scene.plant(3.0)
+    s = 2j * np.pi * np.array([10.0, 200.0])
+    states = np.linalg.solve(s[:, None, None] * np.eye(6) - plant.A, plant.B)[:, :, 0]
+    np.testing.assert_allclose((plant.Ce @ states.T)[0] * s, states[:, 3:].sum(axis=1), rtol=1e-10)
+
+
+def test_free_device_moves_as_its_total_mass(scene: Scene) -> None:
+    plant = scene.plant(0.0)
+    slow, tip = plant.response(np.array([0.5]))[0], scene.drive_at_tip()
+    assert plant.order == 4
+    assert slow.real == pytest.approx(tip.force_per_current_N_A / (tip.moving_mass_kg + 0.026), rel=1e-4)
+
+
+def test_struck_stylus_gets_newtons_not_amperes(scene: Scene) -> None:
+    """At frequencies far above every mode only the stylus mass resists."""
+    fast = scene.plant(3.0, struck=True).response(np.array([1e6]))[0]
+    assert fast.real == pytest.approx(1 / 0.026, rel=1e-3)
+
+
+def test_parameters_that_are_not_passive_are_named() -> None:
+    with pytest.raises(InputError, match=r"mass 1 of the chain = -0.0.* kg: must be > 0"):
+        second_order(70.0, force_per_current_N_A=1.0)
+    with pytest.raises(InputError, match=r"damping_N_s_m of link 1 .* = -1: must be >= 0"):
+        chain([1.0], [Link(1.0, -1.0)], force_per_current_N_A=1.0, stylus=0)
+    one = LinearInGrip(1.0, 0.0)
+    bad = Hand(one, LinearInGrip(5.0, -2.0), one, one, one)
+    with pytest.raises(InputError, match=r"stiffness_N_m of link 1 .* = -1"):
+        fourth_order(3.0, hand=bad, stylus_mass_kg=0.1, moving_mass_kg=0.1, force_per_current_N_A=1.0)

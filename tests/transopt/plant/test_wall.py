@@ -291,7 +291,7 @@ def check_closed_loop(problem: TransientProblem) -> Designed:
 class TestClosedLoop:
     @pytest.mark.parametrize(
         ("stiffness_N_m", "speed_m_s"),
-        [(0, 0.1), (0, 0.4), (200, 0.1), (200, 0.3), (200, 0.4), (500, 0.1), (500, 0.2), (500, 0.4), (2000, 0.1)],
+        [(0, 0.4), (200, 0.1), (200, 0.4), (500, 0.2), (2000, 0.1)],
     )
     def test_sampled_delayed_feedback_reproduces_the_prediction(
         self, walled: WalledMaker, stiffness_N_m: float, speed_m_s: float
