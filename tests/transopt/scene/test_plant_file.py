@@ -1,4 +1,4 @@
-"""A plant by its matrices, in a file that a scene names."""
+"""Plants in files, and responses that no actuator has in the units that are stated."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +17,7 @@ from transopt.scene.builtin import load_scene
 from transopt.scene.file import with_plant
 from transopt.scene.keys import with_values
 from transopt.scene.plant_file import save_plant
+from transopt.scene.plausible_response import against_sheet, implausible_response
 from transopt.scene.scene import Scene
 
 UNITS = '[model.outputs.pull]\nunit = "N"\n'
@@ -211,3 +212,52 @@ class TestPositionAndVelocity:
             InputError, match=r"outputs.position: the input changes its velocity at once, by 5\.28e\+03"
         ):
             self.scene(tmp_path, output_position=np.eye(1, 10, 3) * 6.0)
+
+
+class TestResponse:
+    f = np.geomspace(20, 1000, 80)
+
+    def accelerance(self, gain: float = 0.6, f0: float = 150.0) -> np.ndarray:
+        s, w = 2j * np.pi * self.f, 2 * np.pi * f0
+        return gain * s**2 / (s**2 + s * w / 8 + w**2)
+
+    def said(self, response: np.ndarray, frequency: float = 1.0, f0: float = 150.0) -> str:
+        return implausible_response(frequency * self.f, response, [frequency * f0], "V")
+
+    @pytest.mark.parametrize("gain", [0.3, 3.0, 30.0, 300.0])
+    def test_actuators_pass(self, gain: float) -> None:
+        assert not self.said(self.accelerance(gain))
+        assert not self.said(self.accelerance(gain), f0=1e5)  # a pole of the fit where nothing was measured
+        assert not implausible_response(self.f, np.full(self.f.size, gain + 0j), [], "A")
+
+    @pytest.mark.parametrize(
+        ("factor", "frequency", "words"),
+        [
+            (1e-3, 1.0, "1000: mm/s^2, mg or mV?"),
+            (1e6, 1.0, "1000: mm/s^2, mg or mV?"),
+            (1.0, 1e-3, "1000: kHz?"),
+            (1.0, 1e3, "1000: kHz?"),
+            (1.0, 40.0, "6.283: rad/s called Hz?"),
+        ],
+    )
+    def test_a_wrong_unit_is_named_with_its_factor(self, factor: float, frequency: float, words: str) -> None:
+        assert words in self.said(factor * self.accelerance(), frequency)
+
+    def test_a_velocity_and_a_displacement_are_told_from_an_acceleration(self) -> None:
+        w = 2 * np.pi * self.f
+        assert "as a velocity, no acceleration: state its unit, or multiply it by 2 pi f" in self.said(
+            1e3 * self.accelerance() / w
+        )
+        assert "as a displacement" in self.said(1e6 * self.accelerance() / w**2)
+
+    def test_exchanged_columns_are_told_by_how_the_response_begins(self) -> None:
+        assert "are the columns exchanged?" in implausible_response(self.f, 1 / self.accelerance(), [9.0], "V")
+        above = self.f > 155  # a band that begins on the far side of a resonance falls as steeply
+        assert not implausible_response(self.f[above], self.accelerance()[above], [150.0], "V")
+
+    @pytest.mark.parametrize(
+        ("ratio", "words"), [(9.81, "g and m/s^2"), (1 / 9.81, "g and m/s^2"), (1e3, "milli"), (6.28, "rad/s and Hz")]
+    )
+    def test_against_its_sheet(self, ratio: float, words: str) -> None:
+        assert words in against_sheet(150 * ratio, 150, "resonance", "Hz")
+        assert not against_sheet(1.2 * 150, 150, "resonance", "Hz")

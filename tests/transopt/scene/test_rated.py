@@ -63,7 +63,7 @@ def by_its_sheet(told: Mapping[str, float], a: Actuator) -> Completed:
     return completed(told, Rating(a["M"], rms_V=a["V"], rms_A=told.get("rms_A")))
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("left_out", TOLERANCE)
 def test_each_number_follows_from_the_others(seed: int, left_out: str) -> None:
     actuator = drawn(seed)
@@ -77,7 +77,7 @@ def test_each_number_follows_from_the_others(seed: int, left_out: str) -> None:
     assert found.note == ""
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize(
     ("wrong", "said"), [("quality", "quality Q"), ("rise_s", "rise time"), ("rms_g", "rated acc")]
 )

@@ -1,20 +1,28 @@
-"""Scene files: what is accepted, and that every refusal names file, key, value and limit."""
+"""Scenes: what they state, what is wrong in them, the built-in ones, and a scene as text."""
 
 import codecs
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 import problems
 from transopt.base.errors import InputError
+from transopt.base.toml_edit import edited
+from transopt.base.units import LARGEST, LARGEST_PLAIN, beyond, largest, unit_of
 from transopt.design.context import Context
 from transopt.problem.limits import posed
 from transopt.problem.limits.limit import Limits, Setting
+from transopt.scene import builtin
+from transopt.scene.builtin import FOLDER, load_scene, scene_names, scene_path
 from transopt.scene.file import read_scene
-from transopt.scene.keys import with_values
+from transopt.scene.keys import keys, with_values
+from transopt.scene.recordings import recordings_of
 from transopt.scene.scene import Scene
+from transopt.scene.written import scene_text
 
 TEXT = problems.scene_path("wood_on_foam").read_text()
 
@@ -37,12 +45,6 @@ def test_every_built_in_scene_loads_and_its_plants_are_passive(name: str) -> Non
     if scene.model.kind != "arm":  # whose limits are those of each motor
         assert scene.driven_by.name in limits_of(scene)
     scene.coil()
-
-
-def test_a_scene_need_not_be_described(scene: Scene) -> None:
-    plain = Scene.model_validate({key: value for key, value in scene.model_dump().items() if key != "description"})
-    assert plain.description == ""
-    assert repr(plain).startswith("Scene(wood_on_foam; 4 speeds")
 
 
 def test_the_default_limits_are_the_seeds(tmp_path: Path) -> None:
@@ -266,3 +268,107 @@ def test_files_that_are_no_scene(tmp_path: Path) -> None:
     binary.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match=r"cannot be read as text .* save it as UTF-8"):
         read_scene(binary)
+
+
+def test_the_folder_is_that_of_the_package_problems() -> None:
+    assert Path(problems.__file__).parent == builtin.FOLDER
+    assert builtin.scene_names() == sorted(path.stem for path in (builtin.FOLDER / "scenes").glob("*.toml"))
+    assert "wood_on_foam" in builtin.scene_names()
+
+
+def test_a_path_is_read_and_finds_built_in_motors(tmp_path: Path) -> None:
+    file = tmp_path / "mine.TOML"
+    file.write_text(builtin.scene_path("wood_on_foam").read_text(encoding="utf-8"), encoding="utf-8")
+    assert builtin.load_scene(str(file)).motor == builtin.load_scene("wood_on_foam").motor
+    assert builtin.load_scene(file).name == "mine"
+
+
+def test_recordings_are_read_or_simulated_as_the_scene_says(scene: Scene) -> None:
+    assert recordings_of(scene)[0].name == "wood_on_foam_0.1_m_s_1_N_1"
+    own = builtin.load_scene("own_taps")
+    assert own.recordings.simulated is None
+    assert all(tap.source.endswith(".csv") for tap in recordings_of(own))
+
+
+@pytest.mark.parametrize("name", scene_names())
+def test_every_scene_comes_back(name: str, tmp_path: Path) -> None:
+    scene = load_scene(name)
+    (tmp_path / f"{name}.toml").write_text(scene_text(scene), encoding="utf-8")
+    assert read_scene(tmp_path / f"{name}.toml") == scene
+
+
+def test_words_are_escaped(tmp_path: Path) -> None:
+    said = 'a "quote", a \\ and a\ttab\nand é'
+    scene = with_values(load_scene("lra_click"), {"description": said})
+    (tmp_path / "scene.toml").write_text(scene_text(scene), encoding="utf-8")
+    assert read_scene(tmp_path / "scene.toml").description == said
+
+
+CHANGES = {"weights.rho": 2e-3, "thermal.headroom_K": None, "limits.stroke_m": 0.02, "robust.relative": None}
+
+
+@pytest.mark.parametrize("name", [name for name in scene_names() if load_scene(name).model.kind != "arm"])
+def test_an_edited_file_states_what_was_asked_for_and_keeps_its_comments(name: str, tmp_path: Path) -> None:
+    text = scene_path(name).read_text(encoding="utf-8")
+    found = edited(text, {**CHANGES, "name": name})
+    (tmp_path / "other.toml").write_text(found, encoding="utf-8")
+    scene = read_scene(tmp_path / "other.toml", search=[FOLDER])
+    asked = {**CHANGES, "recordings.folder": scene.recordings.folder}
+    del asked["robust.relative"]
+    assert scene == with_values(load_scene(name), asked)
+    kept = {line for line in found.splitlines() if line.startswith("#")}
+    assert {line for line in text.splitlines() if line.startswith("#")} <= kept
+
+
+def test_every_number_of_a_scene_has_an_upper_bound(scene: Scene) -> None:
+    for key in keys(scene):
+        assert not key.number or "<" in key.bounds or "one of" in key.bounds or key.unit == "", key.path
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        ("limits.current_A", 1e6, "must be finite and at most 10000 A"),
+        ("time.dt_s", 1e-9, "must be greater than or equal to 0.000001"),
+        ("time.stages", 10**6, "must be less than or equal to 20000"),
+        ("model.hand.arm_stiffness_N_m.per_newton", 1e20, "at most 1e+10 N/m"),
+        ("model.hand.mass_kg.constant", -1e9, "at most 100000 kg in size"),
+        ("recordings.simulated.repeats", 10**9, "less than or equal to 100"),
+        ("amplifier.delay_s", 10.0, "less than or equal to 1"),
+    ],
+)
+def test_beyond_it_the_line_says_so(scene: Scene, path: str, value: Any, words: str) -> None:
+    with pytest.raises(InputError) as caught:
+        with_values(scene, {path: value})
+    assert words in str(caught.value)
+    assert str(caught.value).isprintable()
+
+
+def test_a_long_horizon_and_a_large_library(scene: Scene) -> None:
+    with pytest.raises(InputError, match=r"20000 stages of 0\.001 s are 20 s: must be at most 10 s"):
+        with_values(scene, {"time.stages": 20_000, "time.dt_s": 1e-3})
+    speeds = [0.1 + 1e-3 * j for j in range(400)]
+    with pytest.raises(InputError, match="24000000 commands, at most 2000000"):
+        with_values(scene, {"grid.speeds_m_s": speeds, "time.stages": 20_000})
+
+
+@pytest.mark.parametrize("name", ["../../x", "a/b", "a\\b", "..", "", " ", "a\nb", "\x1b[31m", "n" * 101])
+def test_a_name_is_that_of_a_folder(scene: Scene, name: str) -> None:
+    with pytest.raises(ValidationError, match="name"):
+        Scene.model_validate({**scene.model_dump(), "name": name})
+
+
+def test_words_may_have_lines_but_no_control_characters(scene: Scene) -> None:
+    content = scene.model_dump()
+    assert Scene.model_validate({**content, "description": "two\n\tlines, é"}).description == "two\n\tlines, é"
+    with pytest.raises(ValidationError, match="control character"):
+        Scene.model_validate({**content, "description": "\x1b]0;owned\x07"})
+
+
+def test_units() -> None:
+    assert largest(unit_of("a.hand.mass_kg.per_newton")) == LARGEST["kg"]
+    assert largest(unit_of("weights.rho")) == LARGEST_PLAIN
+    assert beyond("x_A", [1.0, {"a": [1e9]}])
+    assert beyond("x_A", float("nan"))
+    assert not beyond("x_A", [True, "1e9", None, -1e4])
+    assert not beyond("A", [[1e6]]), "a matrix has no unit"
