@@ -63,12 +63,6 @@ def test_a_call_is_bounded_by_the_processor_time_that_it_takes(monkeypatch: pyte
     assert apart.call(math.sqrt, 9.0, within_s=PATIENCE_S) == 3.0
 
 
-def test_a_process_that_dies_is_told_by_its_code() -> None:
-    with pytest.raises(apart.UnansweredError, match="ended with code 7"):
-        apart.call(os._exit, 7, within_s=PATIENCE_S)
-    assert apart.call(math.sqrt, 9.0, within_s=PATIENCE_S) == 3.0
-
-
 def test_a_signal_ends_the_wait_and_the_process() -> None:
     first = apart.call(os.getpid, within_s=PATIENCE_S)
     threading.Timer(0.2, signal.raise_signal, [signal.SIGINT]).start()

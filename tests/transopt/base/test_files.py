@@ -1,15 +1,21 @@
-"""Files that may be anything, and folders that killed runs left behind."""
+"""Files and archives that may be anything, and folders that killed runs left behind."""
 
+import io
 import os
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from transopt.base.errors import InputError
 from transopt.base.files import check_depth, read_file, staging_folder, whole_file
-from transopt.base.sizes import DEEPEST
+from transopt.base.npz import Archive
+from transopt.base.sizes import DEEPEST, MOST_UNPACKED_BYTES
+from transopt.base.toml_edit import edited
 
 ADVICE = "give another"
 
@@ -93,3 +99,106 @@ class TestStaging:
         with staging_folder(tmp_path):
             pass
         assert all(folder.exists() for folder in others)
+
+
+ARRAYS: dict[str, Any] = {
+    "numbers": np.arange(12.0).reshape(3, 4),
+    "columns first": np.asfortranarray(np.arange(6.0).reshape(2, 3)),
+    "words": np.array([["a", "longer"]]),
+    "one": np.array(2.5),
+    "none": np.zeros((0, 3)),
+}
+
+
+def packed(**members: bytes) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in members.items():
+            archive.writestr(f"{name}.npy", content)
+    return stream.getvalue()
+
+
+def npy(array: Any, shape: tuple[int, ...] | None = None) -> bytes:
+    """An NPY file, whose head may state another shape."""
+    array, stream = np.asarray(array), io.BytesIO()
+    head = {"descr": array.dtype.str, "fortran_order": False, "shape": array.shape if shape is None else shape}
+    np.lib.format.write_array_header_1_0(stream, head)
+    return stream.getvalue() + array.tobytes()
+
+
+@pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
+def test_reads_what_numpy_writes(save: Any) -> None:
+    stream = io.BytesIO()
+    save(stream, **ARRAYS)
+    archive = Archive(stream.getvalue())
+    assert set(archive) == set(ARRAYS)
+    assert len(archive) == len(ARRAYS)
+    for name, array in ARRAYS.items():
+        assert archive[name].dtype == array.dtype
+        np.testing.assert_array_equal(archive[name], array)
+
+
+@pytest.mark.parametrize("shape", [(2**40,), (4, -1), (2,), (2**33, 2**33)])
+def test_a_head_that_states_another_size(shape: tuple[int, ...]) -> None:
+    archive = Archive(packed(a=npy(np.arange(4.0), shape)))
+    with pytest.raises(ValueError, match=r"a of shape|negative"):
+        archive["a"]
+
+
+def test_what_would_unpack_to_more_than_there_is_room_for() -> None:
+    stream, zeros = io.BytesIO(), bytes(2**20)
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("a.npy", "w") as member:
+        for _ in range(MOST_UNPACKED_BYTES // len(zeros) + 1):
+            member.write(zeros)
+    data = stream.getvalue()
+    assert len(data) < MOST_UNPACKED_BYTES / 500
+    with pytest.raises(ValueError, match="unpacks to 257 MB, at most 256 MB"):
+        Archive(data)
+
+
+def test_objects_and_foreign_packing() -> None:
+    stream = io.BytesIO()
+    np.savez(stream, a=np.array([{}], dtype=object))
+    with pytest.raises(ValueError, match="never loaded"):
+        Archive(stream.getvalue())["a"]
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_LZMA) as archive:
+        archive.writestr("a.npy", npy([1.0]))
+    with pytest.raises(ValueError, match="packed or encrypted"):
+        Archive(stream.getvalue())["a"]
+    with pytest.raises(ValueError, match="a single array"):
+        Archive(npy([1.0]))
+
+
+def test_a_changed_line_says_what_stood_there() -> None:
+    text = '# a\n[limits]\nbeta = 3.2  # wide\nwords = "a # b"\nmany = [1,\n  2]  # two\n\n[grid]\nspeeds = [1.0]\n'
+    found = edited(text, {"limits.beta": 2.0, "limits.words": "c", "limits.many": [3], "grid.speeds": None, "x.y": 1})
+    assert 'beta = 2.0  # wide (was 3.2)\nwords = "c"  # (was "a # b")\nmany = [3]' in found
+    assert "# speeds = [1.0]" in found
+    assert found.endswith("[x]\ny = 1\n")
+
+
+def test_a_table_takes_the_place_of_another_with_all_that_is_in_it() -> None:
+    text = "[a]\nx = 1\n# said\n[a.b]\ny = 2\n[c]\nz = 3\n"
+    assert edited(text, {"a": {"w": "v"}}) == '[a]\nw = "v"\n# said\n[c]\nz = 3\n'
+    assert edited(text, {"d": {"w": 1.0}}) == f"{text}\n[d]\nw = 1.0\n"
+
+
+@pytest.mark.parametrize("text", ["", "limits = { beta = 3.2 }\n", "limits.beta = 3.2\n", "no text"])
+def test_what_is_not_stated_line_by_line_is_not_edited(text: str) -> None:
+    assert edited(text, {"limits.beta": 2.0}) is None
+
+
+@pytest.mark.parametrize(
+    ("line", "new"),
+    [
+        ("# beta = 3  # wide", "beta = 2.0  # wide"),
+        ("#beta =", "beta = 2.0"),
+        ("# beta =  # share", "beta = 2.0  # share"),
+    ],
+)
+def test_a_key_that_a_comment_states_takes_its_place(line: str, new: str) -> None:
+    text = "# beta = 9\n[limits]\nwide = 1\n{}\n[grid]\n# beta = 4\n"
+    for noted in (True, False):
+        assert edited(text.format(line), {"limits.beta": 2.0}, noted=noted) == text.format(new)
+    assert edited(text.format("beta = 1"), {"limits.beta": 2.0}, noted=False) == text.format("beta = 2.0")

@@ -12,27 +12,11 @@ import pytest
 import typer
 
 from controller.cli.play import app as play_app
-from tests.benches.commands import MAINS, Terminal, assert_refused
+from tests.benches.commands import Terminal
 from tests.benches.places import ROOT
 from transopt.base.terminal import run
 from transopt.cli.main import app as transopt_app
 from transopt.cli.start import COMMANDS
-
-
-@pytest.mark.parametrize(
-    ("line", "words"),
-    [
-        ("transopt solve --grid-cap abc", "valid int"),
-        ("transopt solve --speedd 3", "--speedd: no such option"),
-        ("transopt nosuch", "nosuch: no such command"),
-        ("transopt verify", "Missing argument"),
-        ("transopt-play tap x.npz --simulate --speed abc", "'--speed'"),
-        ("transopt-device --nothing", "--nothing: no such option"),
-    ],
-)
-def test_one_line(line: str, words: str, terminal: Terminal) -> None:
-    program, *arguments = line.split()
-    assert_refused(terminal(program, *arguments), words, f"`{program}", "--help` lists what there is")
 
 
 @pytest.mark.parametrize(
@@ -101,14 +85,6 @@ def test_the_version(terminal: Terminal) -> None:
     outcome = terminal("transopt", "--version")
     assert outcome.code == 0
     assert outcome.out.strip().count(".") >= 1
-
-
-@pytest.mark.parametrize("module", MAINS.values())
-def test_help_comes_at_once(module: str) -> None:
-    """No command line loads what only its commands need."""
-    program = f"import sys, {module}; print(sorted({{'numpy', 'scipy', 'casadi', 'matplotlib'}} & set(sys.modules)))"
-    said = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True).stdout
-    assert said.strip() == "[]"
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])

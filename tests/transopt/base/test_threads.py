@@ -1,10 +1,11 @@
-"""The threads of linear algebra: one, and as many as the user has asked for."""
+"""The threads of linear algebra, and a cache that threads share."""
 
 import os
 import re
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
@@ -14,6 +15,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import transopt as to
+from transopt.base.kept import Kept
 from transopt.base.threads import THREADS, one_blas_thread, one_thread
 from transopt.study.axes import parse_axis
 from transopt.study.executors import executor_pool
@@ -166,3 +168,36 @@ def test_a_number_that_the_user_has_stated_is_left_alone(monkeypatch: pytest.Mon
         before = counts()
         with one_blas_thread():
             assert counts() == before
+
+
+def test_the_most_recent_values_are_kept() -> None:
+    kept, made = Kept[str](2), list[str]()
+
+    def get(key: str) -> str:
+        return kept.get(key, lambda: made.append(key) or key.upper())
+
+    assert [get(key) for key in "abab"] == ["A", "B", "A", "B"]
+    assert made == ["a", "b"]
+    assert get("a") == "A"
+    assert get("c") == "C"  # drops b, which was read before a
+    assert get("a") == "A"
+    assert made == ["a", "b", "c"]
+    get("b")
+    assert made == ["a", "b", "c", "b"]
+
+
+def test_several_threads_share_one() -> None:
+    kept, wrong = Kept[int](3), list[tuple[int, int]]()
+
+    def read(first: int) -> None:
+        for number in range(first, first + 3000):
+            key = number % 7
+            if (found := kept.get(key, lambda key=key: key + 100)) != key + 100:
+                wrong.append((key, found))
+
+    threads = [threading.Thread(target=read, args=(first,)) for first in range(4)]
+    for each in threads:
+        each.start()
+    for each in threads:
+        each.join()
+    assert not wrong
