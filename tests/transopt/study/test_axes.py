@@ -1,6 +1,10 @@
-"""What a study varies, as it is typed."""
+"""What a study varies, its points and tasks, and rows as text."""
 
+import csv
+import itertools
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +13,19 @@ import pytest
 
 import problems
 from transopt.base.errors import InputError
-from transopt.scene.keys import with_values
+from transopt.base.writing import csv_text
+from transopt.design import design as the_one_way
+from transopt.design.build import Build
+from transopt.recordings.recording import Recording
+from transopt.scene.keys import Changes, with_values
 from transopt.scene.scene import Scene
+from transopt.solvers.options import SolverOptions
 from transopt.study.axes import apply_settings, parse_axis
 from transopt.study.figures import PercentLocator, axis_label
-from transopt.study.plan import Plan
+from transopt.study.plan import TOGETHER, Plan
+from transopt.study.recordings import StudyRecordings
+from transopt.study.rows import COLUMNS, DEFECT, REFUSED, exit_code, row_of
+from transopt.study.tasks import Item, Task, run_task
 
 FILES = [problems.FOLDER]
 
@@ -96,3 +108,196 @@ def test_a_figure_labels_a_key_by_its_words_and_unit() -> None:
 def test_an_axis_of_percentages_has_ticks_inside(low: float, high: float, least: int) -> None:
     ticks = [tick for tick in PercentLocator().tick_values(low, high) if low <= tick <= high]
     assert len(ticks) >= least
+
+
+class TestPoints:
+    def test_all_combinations_once(self, small: Plan) -> None:
+        found = {tuple(small.changes(p).values()) for p in range(small.points)}
+        assert found == set(itertools.product((1.5, 2.75, 4.0), (500.0, 1050.0)))
+        assert small.entries == 24
+
+    def test_tasks_share_a_device_and_cover_every_row_once(self, small: Plan) -> None:
+        scene = small.scene
+        texts = ("limits.current_A=1:6:25", "amplifier.pole_Hz=500,1050", "weights.rho=1e-3,1e-4")
+        plan = Plan(scene, tuple(parse_axis(scene, "--vary", text) for text in texts), (0.3, 0.4), (1.0, 5.0))
+        tasks = list(plan.tasks(lambda index: False, StudyRecordings(scene, plan.axes)))
+        rows = [item.index for task in tasks for item in task.items]
+        assert sorted(rows) == list(range(plan.entries))
+        assert all(len({point["amplifier.pole_Hz"] for point in task.points}) == 1 for task in tasks)
+        assert max(len(task.items) for task in tasks) == TOGETHER
+        assert len(tasks) == 2 * 2 * math.ceil(25 * 2 * 2 / TOGETHER)
+        for task in tasks:
+            for item in task.items:
+                point = plan.point_of(item.index)
+                assert task.points[item.point] == plan.changes(point)
+                speed, grip = np.unravel_index(item.index % plan.entries_per_point, (2, 2))
+                assert (item.speed_m_s, task.grip_N) == (plan.speeds_m_s[speed], plan.grips_N[grip])
+
+    def test_what_is_done_leaves_no_task_but_changes_none(self, small: Plan) -> None:
+        takes = StudyRecordings(small.scene, small.axes)
+        every = list(small.tasks(lambda index: False, takes))
+        last = every[-1].items[-1].index
+        assert list(small.tasks(lambda index: index != last, takes)) == every[-1:]
+
+    def test_sample_is_a_latin_hypercube(self, scene: Scene) -> None:
+        texts = (
+            "limits.current_A=1:6:2",
+            "amplifier.pole_Hz=100:10000:2:log",
+            "time.stages=100:199:2",
+            "weights.rho=0,1",
+        )
+        axes = tuple(parse_axis(scene, "--vary", text) for text in texts)
+        plan = Plan(scene, axes, (0.4,), (5.0,), sample=20, seed=4)
+        points = [plan.changes(p) for p in range(20)]
+        current = np.array([point["limits.current_A"] for point in points])
+        decades = np.log10([point["amplifier.pole_Hz"] for point in points])
+        # One in each of twenty slices of every range, by equal factors on the logarithmic one.
+        assert sorted(np.floor((current - 1) / 5 * 20)) == list(range(20))
+        assert sorted(np.floor((decades - 2) / 2 * 20)) == list(range(20))
+        assert all(isinstance(point["time.stages"], int) for point in points)
+        assert sum(point["weights.rho"] == 0.0 for point in points) == 10
+        again = Plan(scene, axes, (0.4,), (5.0,), sample=20, seed=4)
+        other = Plan(scene, axes, (0.4,), (5.0,), sample=20, seed=5)
+        assert [again.changes(p) for p in range(20)] == points != [other.changes(p) for p in range(20)]
+
+    def test_recordings_are_the_same_taps_for_every_device_and_horizon(self, small: Plan) -> None:
+        scene = small.scene
+        axes = [
+            parse_axis(scene, "--vary", text, [problems.FOLDER])
+            for text in ("time.lead_s=0:1e-3:3", "motor=maxon_re40")
+        ]
+        _, plain_digest = StudyRecordings(scene, ()).of({})
+        takes = StudyRecordings(scene, axes)
+        assert takes.of({"time.lead_s": 1e-3, "motor": axes[1].values[0]})[1] == plain_digest
+        assert takes.of({"recordings.simulated.seed": 2})[1] != plain_digest
+        longer = parse_axis(scene, "--vary", "time.stages=80,300")
+        [first, *_], _ = StudyRecordings(scene, [longer]).of({})
+        assert first.acceleration.end_s > 0.03 + 0.03
+
+
+def test_cells_are_read_back_exactly_and_stay_on_one_line() -> None:
+    place = {"index": 7, "speed_m_s": 0.1 + 0.2, "grip_N": 1.0, "target": ""}
+    said = 'with "quotes", a comma\nand a new line'
+    outcome = {**place, "status": "OPTIMAL", "tap_error": 1e-7 / 3, "reason": said}
+    row = row_of(outcome, 3, {"limits.current_A": "1.5", "motor": "two\nlines"})
+    text = csv_text(list(row), [row.values()])
+    assert text.count("\n") == 2
+    [again] = csv.DictReader(text.splitlines())
+    assert again == row
+    assert (float(again["speed_m_s"]), float(again["tap_error"])) == (outcome["speed_m_s"], outcome["tap_error"])
+    assert (again["index"], again["point"], again["motor"]) == ("7", "3", "two lines")
+    assert again["floor"] == ""  # nothing to say
+    assert again["reason"] == 'with "quotes", a comma and a new line'
+
+
+def test_exit_code() -> None:
+    def code(*statuses: str) -> int:
+        return exit_code([{"status": status} for status in statuses])
+
+    assert code("OPTIMAL", "REFUSED", "INFEASIBLE") == code("STATIONARY") == 0
+    assert code("REFUSED") == code("OPTIMAL", "NOT_CERTIFIED") == code() == 1
+
+
+def task(
+    scene: Scene, taps: list[Recording], points: list[Changes], speeds: list[float], grip_N: float = 5.0
+) -> Task:
+    pairs = [(p, speed) for p in range(len(points)) for speed in speeds]
+    items = tuple(Item(j, p, speed) for j, (p, speed) in enumerate(pairs))
+    return Task(scene, tuple(taps), "of the session", grip_N, tuple(points), items, SolverOptions())
+
+
+def test_same_as_the_library(scene: Scene, taps: list[Recording], build: Build) -> None:
+    found = run_task(task(scene, taps, [{}], scene.grid.speeds_m_s))
+    own = [row[2] for row in build.entries]
+    assert [outcome["status"] for outcome in found] == ["OPTIMAL"] * 4
+    for outcome, entry in zip(found, own, strict=True):
+        assert outcome["tap_error"] == pytest.approx(entry.figures.tap_error, rel=1e-9)
+        assert outcome["floor"] == pytest.approx(entry.floor, rel=1e-9)
+        assert outcome["peak_input"] == pytest.approx(entry.played.peak_input, rel=1e-9)
+        assert outcome["peak_temperature_C"] == pytest.approx(entry.played.winding_C, rel=1e-9)
+        assert outcome["binding"] == entry.binding
+        assert outcome["relative_gap"] <= 1e-6
+    mu = own[3].solution.multipliers
+    assert found[3]["mu_current_1_A"] == pytest.approx(
+        max(mu.lower("current").max(), mu.upper("current").max()), rel=1e-6
+    )
+
+
+def test_points_of_other_devices_in_one_task_come_out_as_alone(scene: Scene, taps: list[Recording]) -> None:
+    points: list[Changes] = [{}, {"amplifier.pole_Hz": 300.0}, {"limits.supply_V": 9.0}, {"thermal.ambient_C": 30.0}]
+    together = run_task(task(scene, taps, points, [0.4]))
+    for outcome, point in zip(together, points, strict=True):
+        [alone] = run_task(task(scene, taps, [point], [0.4]))
+        assert alone["tap_error"] == pytest.approx(outcome["tap_error"], rel=1e-8)
+        assert alone["status"] == outcome["status"] == "OPTIMAL"
+    assert together[2]["peak_voltage_V"] <= 9.0 * 1.001
+    assert together[0]["peak_voltage_V"] != together[0]["peak_voltage_V"]  # NaN: no rail, no voltage
+
+
+def test_what_cannot_be_is_a_row_with_its_reason(scene: Scene, taps: list[Recording]) -> None:
+    points: list[Changes] = [{"limits.current_A": 50.0}, {}]
+    refused, fine = run_task(task(scene, taps, points, [0.4]))
+    assert refused["status"] == REFUSED
+    assert "above the motor's i_peak_A" in refused["reason"]
+    assert (fine["status"], fine["reason"]) == ("OPTIMAL", "")
+
+
+def test_infeasible_entry_is_told(scene: Scene, taps: list[Recording]) -> None:
+    [outcome] = run_task(task(scene, taps, [{"limits.supply_V": 0.2}], [0.4]))
+    assert outcome["status"] == "INFEASIBLE"
+    assert "back-EMF" in outcome["reason"]
+
+
+def test_a_defect_takes_nobody_with_it(scene: Scene, taps: list[Recording], monkeypatch: pytest.MonkeyPatch) -> None:
+    best = the_one_way.best
+
+    def breaks(problem: object, options: SolverOptions, *, objective: str) -> object:
+        if problem.limits.input_limit == 3.0:  # type: ignore[attr-defined]
+            raise RuntimeError("two\nlines")
+        return best(problem, options, objective=objective)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(the_one_way, "best", breaks)
+    one, other = run_task(task(scene, taps, [{"limits.current_A": 3.0}, {"limits.current_A": 3.5}], [0.4]))
+    assert (one["status"], one["reason"]) == (DEFECT, "RuntimeError: two lines")
+    assert other["status"] == "OPTIMAL"
+
+
+def test_baselines_and_prices_only_where_wanted(scene: Scene, taps: list[Recording], build: Build) -> None:
+    plain = task(scene, taps, [{}], [0.4])
+    [without], [full] = run_task(plain), run_task(replace(plain, rivals=True))
+    entry = build.entries[3][2]
+    assert "price" not in without
+    assert full["price"] == "; ".join(price.sentence for price in entry.prices)
+    assert full["tap_error_clipped"] == pytest.approx(entry.baselines.clipped.tap_error, rel=1e-9)
+    assert full["tap_error_seed"] == pytest.approx(entry.baselines.seed.tap_error, rel=1e-9)
+    same = {"price", "tap_error_seed", "tap_error_clipped", "solve_ms", "total_ms"}
+    for name in COLUMNS.keys() - same:
+        value, alone = full[name], without[name]
+        if isinstance(value, float):
+            # Played together with the baselines, so that the last bits may be other ones.
+            assert alone == pytest.approx(value, rel=1e-9, nan_ok=True)
+        else:
+            assert alone == value
+
+
+def test_other_methods_are_told_at_the_limit_of_their_own_point(scene: Scene, taps: list[Recording]) -> None:
+    points: list[Changes] = [{"limits.current_A": A} for A in (2.0, 3.5)]
+    together = run_task(replace(task(scene, taps, points, [0.4]), rivals=True))
+    for outcome, point in zip(together, points, strict=True):
+        [alone] = run_task(replace(task(scene, taps, [point], [0.4]), rivals=True))
+        assert outcome["tap_error_clipped"] == pytest.approx(alone["tap_error_clipped"], rel=1e-9)
+        assert outcome["tap_error_seed"] == pytest.approx(alone["tap_error_seed"], rel=1e-9)
+    assert together[0]["tap_error_clipped"] > 1.2 * together[1]["tap_error_clipped"]
+
+
+@pytest.mark.parametrize("rivals", [False, True])
+def test_a_replay_that_breaks_is_told_in_its_rows(
+    scene: Scene, taps: list[Recording], monkeypatch: pytest.MonkeyPatch, rivals: bool
+) -> None:
+    def breaks(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("no step")
+
+    for name in ("accurate", "replayed"):
+        monkeypatch.setattr(f"transopt.design.batch.{name}", breaks)
+    found = run_task(replace(task(scene, taps, [{}], [0.3, 0.4]), rivals=rivals))
+    assert [(each["status"], each["reason"]) for each in found] == [(DEFECT, "ZeroDivisionError: no step")] * 2
