@@ -1,4 +1,4 @@
-"""Solvers against each other, the certificate against them and against tampering."""
+"""Certificates: what they accept, and what must never be claimed."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -7,7 +7,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from tests.benches.limits import aiming_in_window
+from problems.stress.cases import StressCase
+from problems.stress.parts import Coil, Current, Demand, Horizon
+from tests.benches.limits import aiming_in_window, with_limit
 from tests.conftest import ProblemMaker
 from transopt.base.errors import InputError
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers, Solution, Status
@@ -16,9 +18,10 @@ from transopt.problem.limits.limit import SIDES
 from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import binding_limits, certify, certify_all, movement_bound, reduced_gradient
-from transopt.proof.effect import Effect, effects
+from transopt.proof.effect import Effect, effects, inside
+from transopt.proof.farkas import is_infeasible
 from transopt.solvers import unlimited
-from transopt.solvers.choose import check_name, solve
+from transopt.solvers.choose import capable, check_name, solve
 from transopt.solvers.options import SolverOptions
 from transopt.solvers.program import state_program
 from transopt.solvers.prove import certified
@@ -103,21 +106,6 @@ def test_without_a_weight_of_the_movement_only_the_first_bound_is_there(make_pro
     command[problem.free_stages :] = 0
     proof = certify(problem, command, Multipliers.zero(problem))
     assert 1e-6 < proof.relative_gap < np.inf
-
-
-def test_unlimited_optimum_has_no_gradient_left(make_problem: ProblemMaker) -> None:
-    problem = make_problem(0.2, 3.0)
-    free = unlimited.solve([problem])[0]
-    certificate = certify(problem, free.command, free.multipliers)
-    assert certificate.accepted
-    assert certificate.dual_residual < 1e-12
-    np.testing.assert_allclose(free.command, solve(problem).command, atol=1e-6)
-
-
-def test_unlimited_optimum_obeys_no_limit(make_problem: ProblemMaker) -> None:
-    problem = make_problem(0.4, 5.0)
-    _, current = problem.stage.rollout(unlimited.solve([problem])[0].command)
-    assert np.abs(current).max() == pytest.approx(5.3, abs=0.1)
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -335,3 +323,85 @@ def test_certificates_side_by_side_are_those_of_each_command(
         assert found.accepted == alone.accepted
         for name in ("objective", "merit", "excess", "duality_gap", "dual_residual", "lower_bound"):
             assert getattr(found, name) == pytest.approx(getattr(alone, name), rel=1e-9, abs=1e-12, nan_ok=True), name
+
+
+COIL = Coil(below_K=0.0005, nodes=1, tau_w_s=12.0, warming=50.0)
+
+
+def with_headroom(problem: TransientProblem, headroom_K: np.ndarray) -> TransientProblem:
+    thermal = problem.thermal
+    return problem.replaced(replace(thermal, model=replace(thermal.model, headroom_K=headroom_K)))
+
+
+@pytest.fixture(scope="module")
+def warm() -> TransientProblem:
+    """A convex coil that doing nothing keeps cool, and the limit current does not."""
+    case = StressCase("coil", current=Current(limit_A=1e-3), horizon=Horizon(stages=40), coil=COIL)
+    problem = case.problem()
+    thermal = problem.thermal
+    problem = with_limit(problem, thermal.relaxed())
+    rest, full = np.zeros(40), np.full(40, 1e-3)
+    full[problem.free_stages :] = 0.0
+    idle, hot = (problem.thermal.temperatures_C(problem.stage.motion(c).plant_input, c) for c in (rest, full))
+    limit = idle + 0.2 * (hot - idle).max()
+    problem = with_headroom(problem, limit - problem.thermal.model.unpowered_C)
+    assert inside(problem, rest)
+    assert not inside(problem, full)
+    return problem
+
+
+class TestFarkas:
+    def test_no_sign_of_the_ripple_proves_a_feasible_coil_infeasible(self, warm: TransientProblem) -> None:
+        """The slope of |mean i| may be anything; what it leaves below the size has to count."""
+        full = np.full(40, 1e-3)
+        full[warm.free_stages :] = 0.0
+        sign = np.sign(warm.stage.motion(full).plant_input)
+        last = np.eye(40)[-1]
+        for slope in (np.zeros(40), sign, -sign, *np.random.default_rng(1).uniform(-1, 1, (20, 40))):
+            ray = replace(Multipliers.zero(warm), slope=slope).with_pair("temperature", np.zeros(40), last)
+            assert not is_infeasible(warm, full, ray)
+
+    def test_a_coil_that_nothing_keeps_cool_is_proven(self, warm: TransientProblem) -> None:
+        frozen = with_headroom(warm, warm.thermal.model.headroom_K - 1.0)
+        rest = np.zeros(40)
+        ray = Multipliers.zero(frozen).with_pair("temperature", rest, np.eye(40)[-1])
+        assert is_infeasible(frozen, rest, ray)
+
+    @pytest.mark.parametrize("length", [1e-8, 1.0, 1e8])
+    def test_how_long_a_ray_is_does_not_matter(self, warm: TransientProblem, length: float) -> None:
+        frozen, rest = with_headroom(warm, warm.thermal.model.headroom_K - 1.0), np.zeros(40)
+        hot = Multipliers.zero(frozen).with_pair("temperature", rest, length * np.eye(40)[-1])
+        assert is_infeasible(frozen, rest, hot.with_pair("current", 1e-6 * length * np.ones(40), rest))
+
+
+def test_no_multiplier_counts_where_there_is_no_limit() -> None:
+    """Half the optimum with a multiplier on an infinite headroom that cancels its gradient is no optimum."""
+    case = StressCase(
+        "forged",
+        current=Current(limit_A=4.0, pole_Hz=None),
+        horizon=Horizon(stages=2, hand_over=1, lead_s=0.0),
+        coil=Coil(below_K=20.0, nodes=1, tau_w_s=12.0, warming=0.1, tap_share=0.05),
+        demand=Demand(kind="constant", speed_m_s=0.01),
+    )
+    problem = case.problem()
+    thermal = problem.thermal
+    problem = with_headroom(with_limit(problem, thermal.relaxed()), np.array([np.inf, 5.0]))
+    command = 0.5 * solve(problem.without("temperature")).command
+    motion = problem.stage.motion(command)
+    slope = np.sign(problem.thermal.model.heating.mean_current(motion.plant_input, command))
+    forged = replace(Multipliers.zero(problem), slope=slope)
+    plain = reduced_gradient(Effect(problem, command), forged)
+    unit = forged.with_pair("temperature", np.zeros(2), np.array([1.0, 0.0]))
+    by_unit = reduced_gradient(Effect(problem, command), unit) - plain
+    forged = forged.with_pair("temperature", np.zeros(2), np.array([-plain[0] / by_unit[0], 0.0]))
+    forged = replace(forged, hand_over=-reduced_gradient(Effect(problem, command), forged)[1:])
+    assert not certify(problem, command, forged).accepted
+
+
+def test_too_many_devices_give_way_to_another_method(make_problem: ProblemMaker) -> None:
+    problem = make_problem(0.4, 3.0, stages=30)
+    spread = tuple(make_problem(0.4, grip, stages=30).stage for grip in np.linspace(1.0, 5.0, 20))
+    many = replace(problem, spread=spread)
+    assert "riccati" not in capable(many)
+    answer = solve(many, SolverOptions())
+    assert certify(many, answer.command, answer.multipliers).accepted
