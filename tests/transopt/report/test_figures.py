@@ -154,12 +154,6 @@ class TestLibrary:
     def test_any_size_fits_on_the_paper(self, library: Library, speeds: int, grips: int) -> None:
         assert_nothing_clipped(library_figure(resized(library, speeds, grips)))
 
-    def test_a_zero_reference_of_the_free_device_can_be_drawn(self, library: Library) -> None:
-        zero = {name: 0 * getattr(library, name) for name in ("target_m_s2", "acceleration_m_s2", "plant_input")}
-        figure = library_figure(replace(resized(library, 4, 1), grips_N=np.zeros(1)))
-        assert figure.axes[0].get_title() == "free device"
-        assert_nothing_clipped(library_figure(replace(library, **zero)))
-
     def test_speeds_differ_in_colour_and_in_grey(self, library: Library) -> None:
         lines = solid_curves(library_figure(resized(library, 8, 1)).axes[1], 1100)
         assert len({line.get_marker() for line in lines}) == 8
@@ -312,8 +306,3 @@ class TestTaps:
     def test_one_that_serves_every_speed_says_what_it_is_scaled_to(self, prepared: list[PreparedTap]) -> None:
         every = replace(prepared[0], speed_m_s=float("nan"))
         assert legend_texts(taps_figure([every]))[0].endswith(", scaled to 1 m/s")
-
-    @pytest.mark.parametrize("count", [1, 70])
-    def test_any_number_fits_on_the_paper(self, prepared: list[PreparedTap], count: int) -> None:
-        long = replace(prepared[0].recording, name="a_folder_with_a_very_long_name_and_a_tap_on_oak.csv")
-        assert_nothing_clipped(taps_figure([replace(prepared[0], recording=long)] * count))
