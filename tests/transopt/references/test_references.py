@@ -1,4 +1,4 @@
-"""The grip axis of references: cells by speed and grip, blends between them, and mixtures that are refused."""
+"""References: one for each tap, and those of a grid."""
 
 import itertools
 import re
@@ -8,15 +8,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.benches.pulses import pulse
 from transopt.base.errors import InputError
-from transopt.base.signals import nrmse
+from transopt.base.filters import highpass
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal, nrmse
+from transopt.plant.time_grid import TimeGrid
+from transopt.recordings.onset import find_onsets
 from transopt.recordings.recording import Recording
-from transopt.references.reference import COURSES, Reference
-from transopt.references.references import References, grip_groups
+from transopt.recordings.settings import Recordings
+from transopt.recordings.tap import prepare
+from transopt.references.reference import COURSES, Free, Reference, TimeAxis, build_reference
+from transopt.references.references import References, assign, grip_groups
 from transopt.scene.keys import with_values
 from transopt.scene.recordings import references_of
 from transopt.scene.scene import Scene
-from transopt.scene.strikes import recordings
+from transopt.scene.strikes import recordings, strike
 
 GRIPS_N = (1.0, 3.0, 5.0)
 Chosen = Callable[[float, float], bool]
@@ -144,10 +150,6 @@ class TestMissing:
             "0.1, 0.2, 0.3 and 0.4 m/s, 2 N: blended from the taps of 1, 3 and 5 N",
         ]
 
-    def test_a_speed_without_any_tap_is_refused(self, scene: Scene, gripped: list[Recording]) -> None:
-        with pytest.raises(InputError, match=r"grid.speeds_m_s: no recording within 15% of 0.4 m/s"):
-            some(scene, gripped, lambda v, F: v < 0.35)
-
     def test_between_speeds_the_shape_is_blended_at_the_grip(self, whole: References) -> None:
         found, slow, fast = whole.at(0.25, 2.0), whole.at(0.2, 2.0), whole.at(0.3, 2.0)
         for name in COURSES:
@@ -233,3 +235,256 @@ def test_a_blend_has_a_target_of_its_own(whole: References) -> None:
     for found in (whole.at(0.25, 3.0), whole.at(0.2, 2.0)):
         np.testing.assert_array_equal(found.target.window_m_s2, found.recorded_m_s2 - found.free_m_s2)
         np.testing.assert_array_equal(found.target.free_m_s2[found.target.lost :][:3], found.free_m_s2[:3])
+
+
+GRID = TimeGrid(1e-4, 300, 3e-4, 68e-6)
+SETTINGS = Recordings(files=["unused"])
+
+
+def steady(speed_m_s: float, grip_N: float, incoming_m_s2: float) -> Callable[[FloatArray], FloatArray]:
+    """A hand that goes on as it came."""
+    return np.zeros_like
+
+
+def braking(speed_m_s: float, grip_N: float, incoming_m_s2: float) -> Callable[[FloatArray], FloatArray]:
+    """A hand that brakes evenly over 60 ms from contact on."""
+    return lambda times_s: np.where((times_s >= 0) & (times_s < 60e-3), speed_m_s / 60e-3, 0.0)
+
+
+class TestAssign:
+    def test_a_tap_goes_to_its_speed_scaled(self) -> None:
+        taps = [prepare(pulse(speed=v), SETTINGS) for v in (0.19, 0.42)]
+        groups = assign(taps, [0.2, 0.4], SETTINGS)
+        assert [factor for ((_, factor),) in groups] == [pytest.approx(0.2 / 0.19), pytest.approx(0.4 / 0.42)]
+
+    def test_too_far_from_every_grid_speed(self) -> None:
+        taps = [prepare(pulse(speed=v, name=f"tap_{v}"), SETTINGS) for v in (0.2, 0.3)]
+        with pytest.raises(InputError, match=r"tap_0.3: speed 0.3 m/s is 33% from .* 0.2 m/s, limit 15%"):
+            assign(taps, [0.2], SETTINGS)
+
+    def test_a_grid_speed_without_a_tap(self) -> None:
+        with pytest.raises(InputError, match=r"grid.speeds_m_s: no recording within 15% of 0.4 m/s"):
+            assign([prepare(pulse(speed=0.2), SETTINGS)], [0.2, 0.4], SETTINGS)
+
+
+class TestReference:
+    def reference(self, *taps: Recording, free: Free = steady) -> Reference:
+        prepared = [prepare(tap, SETTINGS) for tap in taps]
+        return build_reference(0.2, 3.0, prepared, np.ones(len(prepared)), TimeAxis(GRID, free))
+
+    def test_nothing_of_a_recording_is_taken_away(self) -> None:
+        """What is tracked is the prepared tap itself, less how the stylus moves by itself."""
+        tap = prepare(pulse(), SETTINGS)
+        found, yielding = self.reference(pulse()), self.reference(pulse(), free=braking)
+        recorded = tap.acceleration.at(GRID.switching_times_s)
+        np.testing.assert_allclose(found.recorded_m_s2, recorded, rtol=0, atol=1e-12 * recorded.max())
+        np.testing.assert_array_equal(found.target.window_m_s2, found.recorded_m_s2)
+        np.testing.assert_array_equal(yielding.recorded_m_s2, found.recorded_m_s2)
+        np.testing.assert_allclose(yielding.target.window_m_s2, yielding.recorded_m_s2 - yielding.free_m_s2)
+
+    def test_nominal_motion_is_the_free_one(self) -> None:
+        """z_nom'' = a_free with z_nom = 0, dz_nom/dt = -v at contact."""
+        reference, tau = self.reference(pulse(), free=braking), GRID.switching_times_s
+        z, late = reference.nominal_position_m, tau > 1e-3
+        np.testing.assert_allclose(z[late], (-0.2 * tau + 0.2 / 60e-3 * tau**2 / 2)[late], atol=1e-6)
+        np.testing.assert_allclose(reference.nominal_velocity_m_s[late], (-0.2 + 0.2 / 60e-3 * tau)[late], atol=1e-4)
+        straight = self.reference(pulse())
+        np.testing.assert_allclose(straight.nominal_position_m, -0.2 * tau, atol=1e-9)
+
+    def test_the_incoming_acceleration_is_the_taps_mean(self) -> None:
+        def carried(speed_m_s: float, grip_N: float, incoming_m_s2: float) -> Callable[[FloatArray], FloatArray]:
+            return lambda times_s: (10 * speed_m_s + grip_N * incoming_m_s2) * np.ones_like(times_s)
+
+        taps = [replace(prepare(pulse(), SETTINGS), incoming_acceleration_m_s2=a0) for a0 in (2.0, 4.0)]
+        found = build_reference(0.2, 3.0, taps, np.array([1.0, 0.5]), TimeAxis(GRID, carried))
+        np.testing.assert_allclose(found.free_m_s2, 10 * 0.2 + 3.0 * 2.0)
+
+    def test_one_axis_serves_cells_of_any_speed_and_grip(self) -> None:
+        """What it keeps of one cell changes no other."""
+
+        def carried(speed_m_s: float, grip_N: float, incoming_m_s2: float) -> Callable[[FloatArray], FloatArray]:
+            return lambda times_s: grip_N * (speed_m_s + incoming_m_s2) * np.cos(40 * times_s)
+
+        taps, one = [replace(prepare(pulse(), SETTINGS), incoming_acceleration_m_s2=2.0)], TimeAxis(GRID, carried)
+        for speed_m_s, grip_N in ((0.2, 3.0), (0.4, 3.0), (0.2, 5.0)):
+            found = build_reference(speed_m_s, grip_N, taps, np.ones(1), one)
+            alone = build_reference(speed_m_s, grip_N, taps, np.ones(1), TimeAxis(GRID, carried))
+            tau = GRID.switching_times_s
+            np.testing.assert_allclose(found.nominal_position_m, alone.nominal_position_m, atol=1e-15)
+            moved = grip_N * (speed_m_s + 2.0) * (1 - np.cos(40 * tau)) / 40**2 - speed_m_s * tau
+            np.testing.assert_allclose(found.nominal_position_m, moved, atol=1e-9)
+
+    def test_reference_is_sampled_at_the_switching_instants(self) -> None:
+        """Half a tick of error would be 4 % NRMSE; the delay shifts the axis, not the tap."""
+        early = self.reference(pulse())
+        later = build_reference(
+            0.2,
+            3.0,
+            [prepare(pulse(), SETTINGS)],
+            np.ones(1),
+            TimeAxis(replace(GRID, delay_s=GRID.delay_s + 1e-4), steady),
+        )
+        np.testing.assert_allclose(later.recorded_m_s2[:-1], early.recorded_m_s2[1:], atol=1e-6)
+
+    def test_no_current_is_asked_before_contact(self) -> None:
+        """Only the zero-phase low-pass reaches back, by less than the lead."""
+        reference = self.reference(pulse())
+        assert np.abs(reference.recorded_m_s2[0]) <= 0.01 * reference.recorded_m_s2.max()
+
+    def test_repeats_are_aligned(self) -> None:
+        shifted = [pulse(0.02 + s, name=f"tap{s}") for s in (0.0, 3e-4, -2e-4)]
+        settings = SETTINGS.model_copy(update={"onset_s": 0.02})
+        prepared = [prepare(tap, settings) for tap in shifted]
+        reference = build_reference(0.2, 3.0, prepared, np.ones(3), TimeAxis(GRID, steady))
+        assert reference.repeatability < 0.01
+        assert reference.repeatability_unaligned > 0.05
+
+    def test_alignment_does_not_move_the_contact(self) -> None:
+        settings = SETTINGS.model_copy(update={"onset_s": 0.02})
+        prepared = [prepare(pulse(0.02 + s), settings) for s in (-2e-4, 2e-4)]
+        reference = build_reference(0.2, 3.0, prepared, np.ones(2), TimeAxis(GRID, steady))
+        single = self.reference(pulse(0.02))
+        assert nrmse(reference.recorded_m_s2, single.recorded_m_s2) < 0.02
+
+    def test_one_tap_has_no_repeatability(self) -> None:
+        assert np.isnan(self.reference(pulse()).repeatability)
+
+    def test_a_recording_shorter_than_the_window(self) -> None:
+        with pytest.raises(InputError, match=r"tap: ends 19.9 ms after contact, the window needs 29.7 ms"):
+            self.reference(pulse(duration_s=0.04))
+
+
+LASTING = TimeGrid(1e-4, 300, 3e-4, 68e-6, after_stages=200)  # to 49.8 ms
+
+
+class TestBesideTheWindow:
+    """What comes before the first command can act, and after the last one."""
+
+    def reference(self, grid: TimeGrid, *taps: Recording) -> Reference:
+        prepared = [prepare(tap, SETTINGS) for tap in taps]
+        return build_reference(0.2, 3.0, prepared, np.ones(len(prepared)), TimeAxis(grid, steady))
+
+    def test_it_goes_on_as_recorded(self) -> None:
+        """A longer window has the same in it."""
+        found = self.reference(LASTING, pulse())
+        longer = self.reference(replace(LASTING, stages=500, after_stages=0), pulse())
+        np.testing.assert_allclose(found.target.continued_m_s2, longer.recorded_m_s2, atol=1e-9)
+        np.testing.assert_allclose(found.nominal_position_at_ticks_m, longer.nominal_position_at_ticks_m, atol=1e-12)
+
+    def test_where_the_recording_has_ended_it_is_zero(self) -> None:
+        ends_s = 35e-3
+        found = self.reference(LASTING, pulse(duration_s=0.02 + ends_s))
+        after_s = LASTING.after_times_s
+        late = after_s > ends_s
+        assert 100 < late.sum() < 200
+        np.testing.assert_array_equal(found.recorded_after_m_s2[late], 0.0)
+        # Before it is as if the recording went on.
+        whole = self.reference(LASTING, pulse())
+        recorded = after_s < ends_s - 1e-3  # the low-pass sees 1 ms ahead
+        np.testing.assert_allclose(
+            found.recorded_after_m_s2[recorded], whole.recorded_after_m_s2[recorded], atol=1e-3
+        )
+
+    def test_a_mean_ends_where_the_shortest_repeat_does(self) -> None:
+        found = self.reference(LASTING, pulse(name="long"), pulse(duration_s=0.055, name="short"))
+        since_s = LASTING.after_times_s - 35e-3
+        np.testing.assert_array_equal(found.recorded_after_m_s2[since_s > 0], 0.0)
+        assert np.abs(found.recorded_after_m_s2[since_s < -2e-4]).min() > 0
+
+    def test_a_file_has_to_reach_the_windows_end_and_no_further(self) -> None:
+        needed_s = 0.02 + LASTING.switching_times_s[-1]
+        assert self.reference(LASTING, pulse(duration_s=needed_s + 2e-4)).recorded_after_m_s2.shape == (200,)
+        with pytest.raises(InputError, match=r"the window needs 29\.7 ms"):
+            self.reference(LASTING, pulse(duration_s=needed_s - 2e-4))
+
+    @pytest.mark.parametrize(
+        ("delay_s", "lead_s", "lost"), [(1e-3, 3e-4, 7), (68e-6, 3e-4, 0), (3e-4, 3e-4, 0), (9e-3, 0, 90)]
+    )
+    def test_what_no_command_can_reach_counts_from_contact_on(self, delay_s: float, lead_s: float, lost: int) -> None:
+        grid = TimeGrid(1e-4, 300, lead_s, delay_s)
+        found = self.reference(grid, pulse())
+        assert found.recorded_before_m_s2.shape == (lost,)
+        if not lost:
+            return
+        # A waveform that starts so much earlier has the same instants within its window.
+        early = self.reference(TimeGrid(1e-4, 300, lead_s + lost * 1e-4, delay_s), pulse())
+        np.testing.assert_allclose(found.recorded_before_m_s2, early.recorded_m_s2[:lost], atol=1e-9)
+
+    def test_between_speeds_all_of_it_is_blended(self) -> None:
+        grid = TimeGrid(1e-4, 300, 0.0, 1e-3, after_stages=50)
+        slow, fast = (
+            replace(self.reference(grid, pulse(height=h)), speed_m_s=v) for h, v in ((50.0, 0.2), (90.0, 0.4))
+        )
+        found = References((slow, fast)).at(0.3, 3.0)
+        for name in ("recorded_before_m_s2", "recorded_after_m_s2", "nominal_position_at_ticks_m"):
+            wanted = 0.3 * (0.5 * getattr(slow, name) / 0.2 + 0.5 * getattr(fast, name) / 0.4)
+            np.testing.assert_allclose(getattr(found, name), wanted, rtol=1e-12)
+
+
+class TestSoftPulses:
+    def soft(self, toe_s: float, noise: float = 0.0, toe: float = 4.0) -> Recording:
+        """A toe that creeps up to 4 m/s^2, then a half sine of 8 ms and 50 m/s^2; it begins at 30 ms."""
+        t = np.arange(0, 0.15, 1e-4) - 0.03
+        steep = 50 * np.sin(np.pi * np.clip((t - toe_s) / 8e-3, 0, 1))
+        values = np.where((t > 0) & (t < toe_s + 8e-3), np.maximum(toe * np.clip(t / toe_s, 0, 1), steep), 0.0)
+        values += noise * np.random.default_rng(3).standard_normal(t.size)
+        return replace(pulse(), acceleration=Signal(0.0, 1e-4, values))
+
+    @pytest.mark.parametrize("noise", [0.0, 0.1])
+    @pytest.mark.parametrize("toe_s", [3e-3, 8e-3])
+    def test_contact_is_where_the_pulse_begins(self, toe_s: float, noise: float) -> None:
+        """The energy of the pulse is played: none of it lies before tau_0."""
+        recording = self.soft(toe_s, noise)
+        steep = find_onsets([recording.acceleration])[0]
+        tap = prepare(recording, SETTINGS)
+        assert steep == pytest.approx(0.03 + toe_s, abs=2e-4)
+        assert tap.onset_s == pytest.approx(0.03, abs=1.2e-3)
+        assert "a soft pulse" in "; ".join(tap.notes)
+        r = highpass(tap.acceleration, 8.0)
+        energy = r.values**2
+        toe = (r.times_s < GRID.switching_times_s[0]) & (r.times_s > -1e-3 - toe_s)
+        assert energy[toe].sum() < 3e-4 * energy.sum()
+
+    def test_a_stated_onset_stays_and_the_toe_is_said(self) -> None:
+        tap = prepare(self.soft(8e-3), SETTINGS.model_copy(update={"onset_s": 0.038}))
+        assert tap.onset_s == 0.038
+        assert "recordings.onset_s, of which only the waveform's lead is played" in "; ".join(tap.notes)
+
+    def test_a_hand_that_slows_down_is_no_toe(self) -> None:
+        """0.1 g for 30 ms before a hard pulse: the user's own motion."""
+        recording = pulse(0.06, duration_s=0.12)
+        braking = recording.acceleration.values + np.where(np.arange(1200) < 600, np.linspace(0, 1.0, 1200), 0.0)
+        tap = prepare(replace(recording, acceleration=Signal(0.0, 1e-4, braking)), SETTINGS)
+        assert tap.onset_s == pytest.approx(0.06, abs=2e-4)
+        assert not any("soft" in note or "noise" in note for note in tap.notes)
+
+    def test_the_built_in_taps_are_hard_enough(self, scene: Scene, taps: list[Recording]) -> None:
+        assert not any("soft" in note for tap in taps for note in prepare(tap, scene.recordings).notes)
+
+
+class TestSimulatedTaps:
+    def test_peaks_are_those_of_design(self, scene: Scene) -> None:
+        target = scene.recordings.simulated
+        assert target is not None
+        _, acceleration, _ = strike(scene.plant(3.0, struck=True), target, np.array([0.1, 0.2, 0.3, 0.4]), 0.03)
+        peaks = acceleration.max(axis=1) / STANDARD_GRAVITY_M_S2
+        np.testing.assert_allclose(peaks, [2.8, 5.6, 8.7, 12.0], atol=0.05)
+
+    def test_looking_further_after_the_waveform_changes_no_sample(self, scene: Scene, taps: list[Recording]) -> None:
+        for after_s in (0.0, 0.1):
+            others = recordings(with_values(scene, {"weights.after_s": after_s}))
+            for tap, other in zip(taps, others, strict=True):
+                own, its = tap.acceleration.values, other.acceleration.values
+                assert its.size - own.size == round((after_s - 0.03) / 1e-4)
+                both = min(own.size, its.size)
+                np.testing.assert_array_equal(its[:both], own[:both])
+                np.testing.assert_array_equal(other.position.values[:both], tap.position.values[:both])
+
+    def test_a_lead_changes_no_sample(self, scene: Scene, taps: list[Recording]) -> None:
+        for tap, other in zip(taps, recordings(with_values(scene, {"time.lead_s": 1e-3})), strict=True):
+            np.testing.assert_array_equal(other.acceleration.values, tap.acceleration.values)
+
+    def test_repeats_serve_every_grid_speed(self, scene: Scene, taps: list[Recording]) -> None:
+        built = references_of(scene, taps)
+        assert [len(reference.taps) for reference in built] == [3] * 12
+        assert all(0 < reference.repeatability < 0.03 for reference in built)
