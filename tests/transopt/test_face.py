@@ -16,8 +16,6 @@ from matplotlib.figure import Figure
 
 import transopt as to
 from tests.benches.libraries import resized
-from transopt.design.verify import verify_library
-from transopt.solvers.native import extension
 
 FITS = 400  # characters of a `repr`
 LARGEST_HTML = 200_000
@@ -124,13 +122,6 @@ class TestSolving:
         made = to.build("second_order", grid_tolerance=0.2)
         assert made.refinement.tolerance == 0.2
 
-    def test_the_report_is_what_the_command_writes(self, build: to.Build, tmp_path: Path) -> None:
-        files = to.write_report(build, tmp_path / "out", figures=False)
-        assert [file.name for file in files] == ["library.npz", "report.md", "report.json"]
-        assert all(file.stat().st_size > 1000 for file in files)
-        assert not to.verify(to.load_library(tmp_path / "out/library.npz"))[0].shortfalls
-        assert to.verify is verify_library
-
     def test_one_entry_by_hand(self, build: to.Build) -> None:
         entry = build.entries[3][2]
         solution = to.solve_problem(entry.problem)
@@ -177,29 +168,6 @@ class TestShown:
             assert len(repr(each)) <= FITS, f"{type(each).__name__}: {len(repr(each))} characters"
             assert repr(each).startswith(f"{type(each).__name__}("), type(each)
 
-    @pytest.mark.skipif(not extension.available, reason="the extension is not built")
-    def test_what_solves_online_fits_too(self, library: to.Library) -> None:
-        online = to.Online(library)
-        assert len(repr(online)) <= FITS
-        assert len(repr(online.solve(0.33, 2.0))) <= FITS
-
-    def test_a_waveform_shows_places_of_an_arm_alone(self, library: to.Library) -> None:
-        found = library.at(0.33, 2.0)
-        assert "normal" not in repr(found)
-        assert "normal=2," in repr(replace(found, normal=2.0))
-
-    def test_what_a_repr_says(self, build: to.Build, library: to.Library) -> None:
-        assert repr(library) == (
-            "Library(wood_on_foam: 4 speeds 0.1 to 0.4 m/s, 3 grips 1 to 5 N, 800 commands of 0.1 ms, limit 4 A,\n"
-            f"    tap error {100 * library.tap_error.min():.1f} to {100 * library.tap_error.max():.1f} %)"
-        )
-        assert "12 of 12 entries certified and replayed" in repr(build).replace("\n    ", " ")
-        assert f"0.4 m/s, 5 N: tap error {100 * build.entries[3][2].figures.tap_error:.1f} %" in repr(
-            build.entries[3][2]
-        )
-        assert "command=<800, " in repr(build.entries[3][2].solution)
-        assert "stage=StageModel(...)" in repr(build.entries[3][2].problem)
-
     def test_equality_and_hash_are_those_of_the_fields(self, build: to.Build) -> None:
         amplifier = build.entries[0][0].problem.stage.amplifier
         assert amplifier is not None
@@ -226,24 +194,10 @@ class TestInANotebook:
         assert len(html) < LARGEST_HTML
         assert "and 200 more" in html
 
-    def test_words_are_escaped(self, library: to.Library) -> None:
-        binding = library.binding.astype("U80")
-        binding[0, 0] = "<b>mine"
-        html = replace(library, binding=binding)._repr_html_()
-        assert "&lt;b&gt;mine" in html
-        assert "<b>" not in html
-
 
 class TestFigures:
     def test_a_notebook_shows_what_plot_returns(self, library: to.Library) -> None:
         assert library.plot()._repr_png_()[:4] == b"\x89PNG"
-
-    def test_a_library_and_its_build_draw_the_same_curves(self, build: to.Build) -> None:
-        one, other = build.library.plot(), build.plot()
-        for mine, its in zip(one.axes, other.axes, strict=True):
-            for a, b in zip(mine.get_lines(), its.get_lines(), strict=True):
-                np.testing.assert_allclose(np.asarray(a.get_ydata()), np.asarray(b.get_ydata()), atol=1e-12)
-            assert len(mine.patches) == len(its.patches)
 
     def test_an_entry_draws_its_own(self, build: to.Build) -> None:
         entry = build.entries[3][2]
