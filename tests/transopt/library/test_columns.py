@@ -1,23 +1,16 @@
-"""Declarations of a library's arrays and of each column: all that is read from them agrees."""
+"""One declaration of each column: every rendering of a table of entries prints the same cells."""
 
 import io
 import re
-from dataclasses import fields, replace
-from pathlib import Path
+from dataclasses import replace
 
-import numpy as np
 import pytest
 from rich.console import Console
 from rich.table import Table
 
 import transopt as to
 from transopt.base.writing import percent
-from transopt.library.arrays import absent, content_hash, declared
 from transopt.library.columns import COLUMNS, FULL, NAN, EntryTable, TableRow
-from transopt.library.held import Held
-from transopt.library.library import Library
-from transopt.library.meta import stated
-from transopt.library.multipliers import ARRAYS, MULTIPLIERS
 from transopt.report.markdown import build_markdown
 from transopt.report.tables import certificate_table, entry_table, verify_table
 from transopt.scene.keys import with_values
@@ -122,44 +115,3 @@ def test_heads_state_unit_and_limits_and_every_meaning_stands_in_the_legend() ->
 @pytest.mark.parametrize(("heat_A2_s", "shown"), [(2.13e-4, "0.21"), (9.6e-3, "10"), (0.0263, "26"), (NAN, "-")])
 def test_the_heat_of_a_small_coil_is_not_rounded_away(heat_A2_s: float, shown: str) -> None:
     assert COLUMNS["heat"].show(heat_A2_s) == shown
-
-
-UNITS = {"A2_s": "A^2 s", "m_s2": "m/s^2", "m_s": "m/s", "m": "m", "A": "A", "N": "N", "C": "C", "s": "s"}
-
-
-def test_every_field_but_meta_and_the_multipliers_is_declared_once() -> None:
-    named = [field.name for field in fields(Library) if field.name not in ("meta", "multipliers_of", "cool")]
-    assert list(declared(Held)) == named
-    assert list(ARRAYS) == [*named, *MULTIPLIERS]
-
-
-def test_a_unit_in_the_name_is_the_unit_declared() -> None:
-    named = 0
-    for name, array in ARRAYS.items():
-        if name.startswith(("plant_", "spread_")):
-            continue
-        suffix = next((suffix for suffix in UNITS if name.endswith(f"_{suffix}")), None)
-        if suffix is not None:
-            assert array.unit == UNITS[suffix], name
-            named += 1
-    assert named >= 14
-
-
-def test_a_library_file_holds_what_is_declared(library: Library, tmp_path: Path) -> None:
-    missing = absent(ARRAYS, stated(library.scene(), library.meta))
-    wanted = {name for name in ARRAYS if name not in missing} | {"meta", "content_sha256"}
-    library.save(tmp_path / "library.npz")
-    with np.load(tmp_path / "library.npz") as file:
-        assert set(file.files) == wanted
-
-
-def test_the_hash_tells_names_types_shapes_and_bytes_apart() -> None:
-    one = {"a": np.zeros(4), "b": np.ones(2)}
-    others = [
-        {"a": np.zeros(4), "c": np.ones(2)},
-        {"a": np.zeros(4, dtype=np.float32), "b": np.ones(2)},
-        {"a": np.zeros((2, 2)), "b": np.ones(2)},
-        {"a": np.zeros(4), "b": np.array([1.0, 2.0])},
-    ]
-    assert content_hash(one) == content_hash(dict(reversed(one.items())))
-    assert len({content_hash(each) for each in [one, *others]}) == 5
