@@ -64,6 +64,18 @@ def test_sounds_say_what_they_are_and_name_the_drive_which_is_one(run: Run, lra:
     assert "--drive" not in outcome.out
 
 
+def test_saturation_is_counted_and_said(run: Run, lra: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    outcome = run("export", lra, "d.bin", "--drive", "--full-scale", 1.5, "--target", "click 150 Hz")
+    assert outcome.code == 0
+    _, designed, leaves, _, saturated, peak_V, *_ = cells(outcome.out, "click 150 Hz")
+    assert float(leaves) > float(designed) + 1
+    assert int(saturated) > 100
+    assert float(peak_V) == pytest.approx(1.5, abs=1e-3)
+    assert f"{saturated} samples are beyond full scale" in outcome.out
+    assert Path("d.bin").stat().st_size == 2 * 960
+
+
 def test_a_rate_that_is_no_multiple_is_said_with_the_period_that_would_be(run: Run, lra: Path) -> None:
     outcome = run("export", lra, "d.npz", "--drive", "--rate-Hz", 44100)
     assert outcome.code == 0

@@ -137,6 +137,11 @@ class TestLabels:
             # 3.0 Q m/s^2 per volt at the resonance, which would be 9.81 times less if g were read as m/s^2.
             assert abs(found.response(np.array([W / (2 * np.pi)]))[0]) == pytest.approx(24.0, rel=1e-3)
 
+    def test_and_a_scale_besides_are_said(self, run: Run, name: str) -> None:
+        outcome = self.fitted(run, name, "--scale", "9.80665")
+        assert outcome.code == 0, outcome.err
+        assert "g/V is converted to m/s^2 per A or V, and --scale 9.80665 multiplies besides" in outcome.out
+
 
 def test_refusals(fit: Callable[..., Outcome], run: Run) -> None:
     measure()
