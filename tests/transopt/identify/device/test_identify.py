@@ -83,6 +83,12 @@ def test_without_transients_the_last_trial_of_each_grip_is_kept_out(alone: Devic
         assert len(grip.fitted) == 3
 
 
+def test_two_trials_per_grip_leave_nothing_to_judge_by(sweeps: list[Measurement]) -> None:
+    result = identify([run for run in sweeps if run.name[-5] in "01"], [], SETTINGS)
+    assert "recorded trial" not in result.verdict
+    assert device_part(result).nrmse == {}
+
+
 def test_the_part_states_covariance_and_intervals_that_hold_the_truth(rig: Rig, found: DeviceResult) -> None:
     part = device_part(found)
     assert part.kind == "drive"
