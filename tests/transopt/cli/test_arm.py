@@ -75,6 +75,13 @@ def test_the_first_look_is_short_and_detail_is_asked_for(run: Run, library: Path
     assert level in run("show", library, "--table").out
 
 
+def test_show_draws(run: Run, library: Path) -> None:
+    outcome = run("show", library, "--figure", "look.png")
+    assert outcome.code == 0
+    assert Path("look.png").read_bytes()[:4] == b"\x89PNG"
+    assert_refused(run("show", library, "--figure", "look.pdf"), "--figure look.pdf: figures are written as .png")
+
+
 def test_verify_fails_on_a_library_that_claims_too_much(run: Run, library: Path) -> None:
     loaded = load_library(library)
     command = loaded.command.copy()

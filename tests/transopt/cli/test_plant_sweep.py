@@ -205,3 +205,14 @@ def test_a_missing_column_is_named(run: Run, names: str, said: str) -> None:
     rows = Path("sweep.csv").read_text().splitlines()
     Path("sweep.csv").write_text("\n".join([names.replace("temperature", "winding"), *rows[1:]]))
     assert_refused(run("plant", "sweep", "sweep.csv", "--out", "plant.npz"), said)
+
+
+def test_a_clipped_sensor_is_refused(run: Run) -> None:
+    record("sweep.csv", 112)
+    t, u, a = np.loadtxt("sweep.csv", delimiter=",", skiprows=1).T
+    top = 1 + 0.5 * np.abs(a - 1).max()
+    header = "time_s,voltage_V,acceleration_g"
+    np.savetxt("cut.csv", np.transpose([t, u, np.minimum(a, top)]), "%.7g", ",", header=header, comments="")
+    assert_refused(
+        run("plant", "sweep", "cut.csv", "--out", "plant.npz"), "samples at the highest value", "wider range"
+    )
