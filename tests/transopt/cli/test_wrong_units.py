@@ -7,9 +7,11 @@ import pytest
 
 import problems
 from tests.benches.commands import Run, assert_refused
+from tests.benches.places import ROOT
 from transopt.scene.builtin import load_scene, scene_names
 from transopt.scene.plausible import implausible
 
+RECORDINGS = ROOT / "problems/recordings"
 WOOD, LRA = "wood_on_foam", "lra_click"
 MOTOR = """
 [motor]
