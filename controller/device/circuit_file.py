@@ -78,12 +78,7 @@ def scene_text(circuit: Circuit, file: str, continuous_A: float) -> str:
 
 
 def electronics_of(circuit: Circuit, scene: Scene) -> Electronics:
-    """Scales and hardware of a circuit, whose motor and transmission the scene has read.
-
-    Raises
-    ------
-    InputError : see `circuit.scales`.
-    """
+    """Scales and hardware of a circuit, whose motor and transmission the scene has read."""
     motor, transmission, power = scene.motor, scene.transmission, circuit.power
     if motor is None or transmission is None:
         raise InputError(f"{circuit.name}: state motor and transmission, by which counts become a way")

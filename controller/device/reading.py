@@ -93,11 +93,7 @@ def find(named: str | None, library: Path | None = None) -> Described:
 
 
 def read_device(path: Path) -> Described:
-    """
-    Raises
-    ------
-    InputError : as `find`.
-    """
+    """The device of a device file."""
     return _described(path, path, str(path))
 
 

@@ -298,10 +298,6 @@ def make_room(folder: Path, *, over: bool = False) -> None:
     ----------
     over : a recording that is there may be written over: that of a simulated device can be made again, that of a
         real one cannot.
-
-    Raises
-    ------
-    InputError : it cannot.
     """
     make_folder(folder)
     if not over:

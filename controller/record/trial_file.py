@@ -25,12 +25,7 @@ SCALARS = ("grip_N", "accelerometer_Hz", "speed_m_s", "held_out", "period_s")
 
 
 def refuse_old(folder: Path, names: Iterable[str]) -> None:
-    """Refuse to overwrite a recording.
-
-    Raises
-    ------
-    InputError : the folder holds one of these files.
-    """
+    """Refuse to overwrite a recording."""
     old = next((name for name in names if (folder / name).exists()), None)
     if old is not None:
         raise InputError(f"--out {folder}: holds a recording already ({old}); choose another folder")

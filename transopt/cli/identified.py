@@ -24,12 +24,7 @@ Units = Annotated[str, typer.Option(help=UNITS_HELP)]
 
 
 def check_place(out: Path) -> None:
-    """Refuse a place where no model file can be written, before any work is done for it.
-
-    Raises
-    ------
-    InputError : another ending, or a folder that cannot be written.
-    """
+    """Refuse a place where no model file can be written, before any work is done for it."""
     if out.suffix.lower() != ".json":
         raise InputError(f"--out {out}: a model file ends in .json")
     terminal.make_folder(out.parent)

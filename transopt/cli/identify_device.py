@@ -90,12 +90,7 @@ def _nominal(scene: "Scene") -> "DriveChain | None":
 def _settings(
     out: Path, scene_name: str | None, force_per_current_N_A: float | None, order: int | None, kind: str
 ) -> "Settings":
-    """What is known before the first record: force per ampere, amplifier, where to start.
-
-    Raises
-    ------
-    InputError : options that exclude each other, a value out of range, a scene or a model file that cannot be read.
-    """
+    """What is known before the first record: force per ampere, amplifier, where to start."""
     from transopt.identify.device.identify import Settings
     from transopt.identify.device.result import Kind
     from transopt.plant.amplifier import Amplifier

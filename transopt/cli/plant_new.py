@@ -173,12 +173,7 @@ def option_of(key: str) -> str:
 
 
 def _is_odd(stated: dict[str, Any], accept: bool) -> bool:
-    """Whether a datasheet states what no device has.
-
-    Raises
-    ------
-    InputError : it does, and that is not accepted; in the words of the options.
-    """
+    """Whether a datasheet states what no device has."""
     from transopt.scene.plausible import implausible
 
     unit = "V" if stated["input"] == "voltage" else "A"
@@ -193,12 +188,7 @@ def _is_odd(stated: dict[str, Any], accept: bool) -> bool:
 
 
 def _sheet(stated: dict[str, Any]) -> "Datasheet":
-    """The datasheet, checked.
-
-    Raises
-    ------
-    InputError : the first complaint, in the words of the options.
-    """
+    """The datasheet, checked."""
     from pydantic import ValidationError
 
     from transopt.scene.datasheet import Datasheet

@@ -69,12 +69,7 @@ def answered(
 
 
 def measurements(files: Sequence[Path], columns: str, units: str, rate_Hz: float | None) -> list[Measurement]:
-    """Runs of a device, read as the command line and a person say; what their files have beside it is noted.
-
-    Raises
-    ------
-    InputError : see `answered`.
-    """
+    """Runs of a device, read as the command line and a person say; what their files have beside it is noted."""
 
     def describe(runs: Sequence[Measurement]) -> str:
         recorded = [of for of in WORDS.quantities if getattr(runs[0], of, None) is not None]
@@ -91,12 +86,7 @@ def measurements(files: Sequence[Path], columns: str, units: str, rate_Hz: float
 
 
 def _asked(unclear: UnclearError, tried: Trials, words: Vocabulary) -> Answer:
-    """The answer of a person who sees what the file holds.
-
-    Raises
-    ------
-    InputError : no answers come.
-    """
+    """The answer of a person who sees what the file holds."""
     console = terminal.console()
     if unclear.file is not None:
         for line in sketched(columns_of(unclear.file, words)):

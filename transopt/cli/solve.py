@@ -138,12 +138,7 @@ def _load(scene: str, recordings: Path | None, model: Path | None, accept: bool)
 
 
 def _unfit(scene: "Scene", accepted: bool) -> str:
-    """Why the scene's model file is not fit to design with, in one line; empty if it is, or there is none.
-
-    Raises
-    ------
-    InputError : it is not, and that is not accepted.
-    """
+    """Why the scene's model file is not fit to design with, in one line; empty if it is, or there is none."""
     unfit = scene.unfit_model()
     if unfit and not accepted:
         raise InputError(f"{unfit}; identify it again, or solve with it as it is by --accept-unfit-model")
@@ -151,12 +146,7 @@ def _unfit(scene: "Scene", accepted: bool) -> str:
 
 
 def _build(wanted: Wanted) -> "tuple[Build, list[str]]":
-    """Solve, with a bar on a terminal that counts, and publish; the build and the names of the files in its folder.
-
-    Raises
-    ------
-    InputError : recordings that cannot serve, or a folder that cannot be written.
-    """
+    """Solve with a bar on a terminal that counts, and publish; the build and the names of the files in its folder."""
     from transopt.design.build import build_library
     from transopt.design.refine_grid import refine_grid
     from transopt.files.unclear import UnclearError

@@ -126,12 +126,7 @@ def study(
 
 
 def check_together(request: Request) -> None:
-    """Refuse options that do not belong together.
-
-    Raises
-    ------
-    InputError : one line.
-    """
+    """Refuse options that do not belong together."""
     from transopt.study.named import IN_PROCESS, STUDIES
 
     name = request.name

@@ -161,12 +161,7 @@ def taps(
 
 
 def _speeds(text: str) -> list[float]:
-    """The speeds of `--speeds` [m/s].
-
-    Raises
-    ------
-    InputError : one of them is no number above 0.
-    """
+    """The speeds of `--speeds` [m/s]."""
     found = list[float]()
     for each in filter(None, map(str.strip, text.split(","))):
         try:

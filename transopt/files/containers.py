@@ -60,12 +60,7 @@ def guarded(what: str, remedy: str) -> Iterator[None]:
 
 
 def _library(module: str, package: str, what: str) -> ModuleType:
-    """Import the library that reads a format.
-
-    Raises
-    ------
-    InputError : the library is not installed.
-    """
+    """Import the library that reads a format."""
     try:
         return import_module(module)
     except ImportError:

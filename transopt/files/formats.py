@@ -133,10 +133,6 @@ def refuse_idle(layout: Layout, suffixes: Collection[str]) -> None:
     Parameters
     ----------
     suffixes : suffixes of all files that the layout is for, with their dots, in any case.
-
-    Raises
-    ------
-    InputError : one line with the option and a remedy.
     """
     kinds = {suffix.lower() for suffix in suffixes}
     of_sounds, of_others = kinds == {".wav"}, bool(kinds) and ".wav" not in kinds
@@ -194,12 +190,7 @@ def _from_variables(found: Channels, layout: Layout, words: Vocabulary) -> tuple
 
 
 def _chosen(arrays: Arrays, words: Vocabulary, units: Mapping[str, str]) -> list[str]:
-    """The variables that are columns: those with a unit in their name or a stated unit, and others that are required.
-
-    Raises
-    ------
-    UnclearError : the unit of a response is not stated.
-    """
+    """The variables that are columns: with a unit in their name or a stated unit, and others that are required."""
     candidates = [name for name in arrays if name not in words.header]
     known = [name for name in candidates if words.quantity_of(name) is not None]
     chosen = [name for name in candidates if words.is_meant(name) or apart(name)[1] or stated_for(name, words, units)]
@@ -241,10 +232,6 @@ def _refuse_unstated(arrays: Arrays, names: Sequence[str], words: Vocabulary, ch
     Parameters
     ----------
     names : arrays without a stated unit. chosen : the columns chosen among the others.
-
-    Raises
-    ------
-    UnclearError : one of the arrays is complex.
     """
     is_known = any(words.quantity_of(name) == "frequency" for name in chosen)
     for name in names:

@@ -207,12 +207,7 @@ def one_clock(
 
 
 def _refuse_unstated(without: Sequence[str], words: Vocabulary, seen: Seen) -> None:
-    """Ask for the units of columns that lack one, quantity by quantity.
-
-    Raises
-    ------
-    UnclearError : at least one column lacks a unit.
-    """
+    """Ask for the units of columns that lack one, quantity by quantity."""
     wanted = list(dict.fromkeys(words.quantity_of(name) or name for name in without))
     if wanted:
         table = seen()

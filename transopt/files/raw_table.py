@@ -57,11 +57,6 @@ class RawTable:
 
 
 def check_size(samples: int) -> None:
-    """Refuse more samples than a recording may have.
-
-    Raises
-    ------
-    InputError : there are more.
-    """
+    """Refuse more samples than a recording may have."""
     if samples > MOST_ROWS:
         raise InputError(f"{samples} samples, at most {MOST_ROWS}; cut the taps out of it")

@@ -210,10 +210,6 @@ def _fill(
     Returns
     -------
     Name of the channel -> number of rows from one of its values to the next.
-
-    Raises
-    ------
-    InputError : a blank in a channel of full rate, or blanks at irregular intervals.
     """
     strides, first, end = dict[str, int](), 0, len(numbers)
     for name, rows in blanks.items():

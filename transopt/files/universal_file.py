@@ -99,12 +99,7 @@ def universal_columns(data: bytes, layout: Layout, words: Vocabulary) -> Channel
 
 
 def _unit_of_164(dataset: _Dataset) -> str:
-    """Unit of accelerations from dataset 164, which states the factor from metres to the file's length.
-
-    Raises
-    ------
-    InputError : no known unit of acceleration has this length.
-    """
+    """Unit of accelerations from dataset 164, which states the factor from metres to the file's length."""
     code = _whole(dataset.lines, 0, 0, 10, "units code of dataset 164")
     factor = _number(dataset.lines[1][:25], 2) if len(dataset.lines) > 1 else LENGTHS.get(code, 0.0)
     known = UNITS["acceleration"].items()

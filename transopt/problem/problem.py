@@ -125,12 +125,7 @@ class TransientProblem:
             raise InputError("a wall needs the encoder position: discretise the device with its position")
 
     def _check_target(self) -> None:
-        """Check the target's shapes and numbers.
-
-        Raises
-        ------
-        InputError : they do not fit the time axis and the directions, or are not finite.
-        """
+        """Check the target's shapes and numbers."""
         target = self.target
         for name, array, size in (
             ("reference_m_s2", target.window_m_s2, self.grid.stages),
@@ -143,12 +138,7 @@ class TransientProblem:
             raise InputError(target.flaw)
 
     def _check_several(self) -> None:
-        """Check a plant with several motors or directions.
-
-        Raises
-        ------
-        InputError : the problem has a part that such a plant cannot have.
-        """
+        """Check a plant with several motors or directions."""
         if not self.directions and self.stage.motors == 1:
             return
         said = f"a plant with {self.stage.motors} motors and {self.stage.tracked} directions"

@@ -200,10 +200,6 @@ def _speed(
     ----------
     x, smooth : without offset, positive where the tap decelerates the stylus; as recorded and low-passed.
     is_level_known : whether the offset is known, so that gravity is not in `x`.
-
-    Raises
-    ------
-    InputError : no speed can be fitted to the position.
     """
     doubtful = "" if settings.simulated else implausible_time(recording.acceleration)
     try:

@@ -123,12 +123,7 @@ def in_a_line(unclear: UnclearError, tried: Trials, form: Callable[[Answer], str
 
 
 def prepared(settings: Recordings) -> Taps:
-    """The taps of recordings, prepared for references, and the settings.
-
-    Raises
-    ------
-    InputError : see `read_recordings` and `prepare`.
-    """
+    """The taps of recordings, prepared for references, and the settings."""
     return [prepare(recording, settings) for recording in read_recordings(settings)], settings
 
 

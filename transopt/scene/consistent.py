@@ -94,12 +94,7 @@ def _above_peak(scene: "Scene", peak_A: float) -> str:
 
 
 def _check_several(scene: "Scene") -> None:
-    """Check a scene with several motors.
-
-    Raises
-    ------
-    ValueError : a key that such a scene cannot have, or one that it needs.
-    """
+    """Check a scene with several motors."""
     asked, kinds = scene.limits.asked(), kinds_of(scene.driven_by)
     unfit = [f"limits.{kind.key}" for kind in kinds if not kind.of_each_motor and asked.get(kind.key) is not None]
     tables = (
@@ -128,12 +123,7 @@ def _check_several(scene: "Scene") -> None:
 
 
 def _check_what_is_wanted(scene: "Scene") -> None:
-    """Check that the scene states either speeds with recordings of taps, or named targets.
-
-    Raises
-    ------
-    ValueError : both or neither, or keys of the other kind.
-    """
+    """Check that the scene states either speeds with recordings of taps, or named targets."""
     if scene.recordings.axis == ALL and not isinstance(scene.model, Arm):
         raise ValueError(
             f'recordings.axis: "{ALL}" is for an arm, not for model.kind = {scene.model.kind}: '
@@ -161,12 +151,7 @@ def _check_what_is_wanted(scene: "Scene") -> None:
 
 
 def _check_input(scene: "Scene") -> None:
-    """Check that limits and tables belong to the plant's input, a current or a voltage.
-
-    Raises
-    ------
-    ValueError : a limit of the other input, or a table that only a current-driven plant can have.
-    """
+    """Check that limits and tables belong to the plant's input, a current or a voltage."""
     limits, unit = scene.limits, scene.driven_by.unit
     if unit == "A":
         if limits.voltage_V is not None:
@@ -203,12 +188,7 @@ def _check_input(scene: "Scene") -> None:
 
 
 def _check_what_needs_what(scene: "Scene") -> None:
-    """Check keys that need or exclude keys of other tables.
-
-    Raises
-    ------
-    ValueError : the first contradiction.
-    """
+    """Check keys that need or exclude keys of other tables."""
     if scene.limits.supply_V is not None and (scene.circuit() is None or scene.amplifier == "ideal"):
         raise ValueError(
             "limits.supply_V needs [motor] (resistance, inductance, back-EMF) and an amplifier with a pole: an "
@@ -255,12 +235,7 @@ def _check_what_needs_what(scene: "Scene") -> None:
 
 
 def _check_population(scene: "Scene", robust: Robust) -> None:
-    """Check that the scene states a hand, which the hands of a population can replace, and draw them.
-
-    Raises
-    ------
-    ValueError : a model without such a hand, a free device, or a population that is not passive at the grips.
-    """
+    """Check that the scene states a hand, which the hands of a population can replace, and draw them."""
     if not isinstance(scene.model, Drive | FourthOrder) or scene.grid.grips_N[0] == 0:
         raise ValueError(
             "robust.population: spreads the hand that a scene states by [model.hand], at grips above 0: leave it "
@@ -285,12 +260,7 @@ def _on_the_motion(scene: "Scene") -> list[str]:
 
 
 def _check_identified(scene: "Scene", model: IdentifiedModel) -> None:
-    """Check that the scene does not contradict its model file.
-
-    Raises
-    ------
-    ValueError : the first contradiction.
-    """
+    """Check that the scene does not contradict its model file."""
     for grip in scene.grid.grips_N:
         for served in (grip, *scene.spread_grips_N(grip)):
             try:
@@ -331,12 +301,7 @@ def _check_identified(scene: "Scene", model: IdentifiedModel) -> None:
 
 
 def _check_amplifier(scene: "Scene") -> None:
-    """Check that pole and delay are stated once: in the scene, in its model file, or implied by bridge and motor.
-
-    Raises
-    ------
-    ValueError : one is missing, or stated twice.
-    """
+    """Check that pole and delay are stated once: in the scene, in its model file, or implied by bridge and motor."""
     identified = scene.model.amplifier if isinstance(scene.model, IdentifiedModel) else None
     stated = None if scene.amplifier == "ideal" else scene.amplifier
     if stated is not None and stated.switching_Hz is not None:
@@ -371,12 +336,7 @@ def _check_amplifier(scene: "Scene") -> None:
 
 
 def _check_time(scene: "Scene") -> None:
-    """Check that a default lead is possible, and that the samples after the window are not too many.
-
-    Raises
-    ------
-    ValueError : one of them is not.
-    """
+    """Check that a default lead is possible, and that the samples after the window are not too many."""
     lead_s, after = scene.lead_s, samples_after(scene.weights.after_s, scene.time.dt_s)
     if scene.time.lead_s is None and lead_s > LONGEST_LEAD_S:
         raise ValueError(

@@ -85,12 +85,7 @@ class IdentifiedModel(ModelParts):
         )
 
     def check_grip(self, grip_N: float) -> None:
-        """Check that a grip is within the recorded ones.
-
-        Raises
-        ------
-        InputError : it is not.
-        """
+        """Check that a grip is within the recorded ones."""
         check_grip(self.moving.grips_N, grip_N)
 
     def error_of(
@@ -211,12 +206,7 @@ class IdentifiedModel(ModelParts):
         return error_by_covariance(self.hand)
 
     def _with(self, part: Chain, grips_N: Sequence[float]) -> Self:
-        """The model with another device or hand.
-
-        Raises
-        ------
-        InputError : it is not passive at one of the grips.
-        """
+        """The model with another device or hand."""
         for grip_N in grips_N:
             part.plant(grip_N)
         return self.model_copy(update={"device" if isinstance(part, DriveDevice) else "hand": part})

@@ -239,12 +239,7 @@ def with_values(scene: Scene, changes: Changes) -> Scene:
 
 
 def check_value(scene: Scene, path: str, value: Any) -> None:
-    """Refuse a value that its key cannot have, regardless of the rest of the scene.
-
-    Raises
-    ------
-    InputError : one line: key, value, limit.
-    """
+    """Refuse a value that its key cannot have, regardless of the rest of the scene."""
     content = _content(scene, {path: value})
     try:
         Scene.model_validate(content)

@@ -59,12 +59,7 @@ def _refuse_constant(text: str) -> NoReturn:
 
 
 def _parsed(source: Path | str, content: bytes) -> ModelFile:
-    """Parse a model file's bytes; `source` names it in messages.
-
-    Raises
-    ------
-    InputError : one line: file, field, value, what to do.
-    """
+    """Parse a model file's bytes; `source` names it in messages."""
     advice = "give a file written by `transopt identify`, or identify again into another file"
     try:
         parsed = json.loads(content.decode("utf-8-sig"), parse_constant=_refuse_constant)
@@ -82,12 +77,7 @@ def _parsed(source: Path | str, content: bytes) -> ModelFile:
 
 
 def _raw(path: Path) -> bytes:
-    """A model file's bytes, unchecked.
-
-    Raises
-    ------
-    InputError : no such file, or one that cannot be read.
-    """
+    """A model file's bytes, unchecked."""
     advice = "`transopt identify device FILES... --out MODEL.json` writes one"
     return read_file(path, MOST_MODEL_BYTES, advice)
 

@@ -85,12 +85,7 @@ def _of_grips(nrmse: NrmseByGrip) -> NrmseByGrip:
 
 
 def check_grip(grips_N: list[float], grip_N: float) -> None:
-    """Refuse a grip outside the recorded range, where no model is known.
-
-    Raises
-    ------
-    InputError : the grip is outside; the message states the recorded range.
-    """
+    """Refuse a grip outside the recorded range, where no model is known."""
     held = [grip for grip in grips_N if grip > 0]
     if grip_N == 0:
         if grips_N[0] > 0:

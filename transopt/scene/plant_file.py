@@ -63,12 +63,7 @@ def with_plant_file(scene: Path, table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _outputs(table: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]:
-    """The plant's outputs, with rows and units from file and scene combined.
-
-    Raises
-    ------
-    InputError : file and scene contradict each other, or a unit or row is missing.
-    """
+    """The plant's outputs, with rows and units from file and scene combined."""
     stated = table.get("input")
     if stated is not None and found.get("input", stated) != stated:
         raise InputError(

@@ -187,10 +187,6 @@ def check_plausible(source: object, content: Mapping[str, Any]) -> None:
     Parameters
     ----------
     source : where the numbers come from; the message begins with it.
-
-    Raises
-    ------
-    InputError : one line with the first implausible number, and how many more there are.
     """
     found = implausible(content)
     if found:

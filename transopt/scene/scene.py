@@ -291,12 +291,7 @@ class Scene(Section):
         return replace(posing, asked={**posing.asked, MOTOR_SHARES: self.shares}, tangential=self.weights.tangential)
 
     def check_one_motor(self, what: str) -> None:
-        """Refuse what only a device with one motor can have.
-
-        Raises
-        ------
-        InputError : several motors.
-        """
+        """Refuse what only a device with one motor can have."""
         if self.shares:
             also = ", as does `transopt study --study direction`" if isinstance(self.model, Arm) else ""
             raise InputError(

@@ -175,12 +175,7 @@ def _ready(
     settings: Settings,
     tick: Callable[[str], None],
 ) -> tuple[Records, Sequence[Measurement], list[Finding]]:
-    """Records to fit, transients to validate with, and findings.
-
-    Raises
-    ------
-    InputError : there is no sweep among the files, or the records cannot be used.
-    """
+    """Records to fit, transients to validate with, and findings."""
     sweeps = [run for run in runs if run.period_s is None and not run.held_out]
     if not sweeps:
         raise InputError(

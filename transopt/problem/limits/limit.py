@@ -361,11 +361,6 @@ class Limits:
 
 
 def positive(key: str, value: float) -> None:
-    """Check that a limit is > 0 and finite.
-
-    Raises
-    ------
-    InputError : it is not.
-    """
+    """Check that a limit is > 0 and finite."""
     if not 0 < value < np.inf:
         raise InputError(f"limits.{key} = {value:g}: must be > 0 and finite")

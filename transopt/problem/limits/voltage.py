@@ -76,12 +76,7 @@ class SaggingVoltageLimit(VoltageLimit):
 
 
 def _shares(course: list[list[float]], dt_s: float, stages: int) -> FloatArray:
-    """(stages + 1,) share of the voltage at the switching instants.
-
-    Raises
-    ------
-    InputError : times that do not increase, or a share outside (0, 1].
-    """
+    """(stages + 1,) share of the voltage at the switching instants."""
     times, shares = np.array(course, dtype=float).reshape(-1, 2).T
     if times.size == 0 or np.any(np.diff(times) <= 0) or times[0] < 0 or not np.all((shares > 0) & (shares <= 1)):
         raise InputError("limits.sag: must be pairs of a time >= 0 [s], rising, and a share of the voltage in (0, 1]")
