@@ -7,18 +7,17 @@ converter's stands still there instead, at a value that looks like a reading.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controller.device.device_file import Accelerometer, DeviceFile
 from controller.waveforms.prediction import predict
-from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, flat_extreme
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, BoolArray, FloatArray, flat_extreme
 from transopt.library.library import Library
 
 RAIL_PART = 0.98  # part of the stated range from which on a reading counts as at its end: a scale may be 2 % off
 FAR_PART = 0.5  # least part of the readings' span by which a value that repeats lies away from rest
 
 
-def at_rail(acceleration_m_s2: FloatArray, accelerometer: Accelerometer) -> NDArray[np.bool_]:
+def at_rail(acceleration_m_s2: FloatArray, accelerometer: Accelerometer) -> BoolArray:
     """(n,) whether each reading lies at an end of the range.
 
     No number does, and a reading within 2 % of `range_g`. Where no range is stated, so do the readings that stand

@@ -23,12 +23,11 @@ import struct
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controller.protocol.capacity import Capacity
 from controller.waveforms.bank import Bank, Method
 from transopt.base.errors import InputError
-from transopt.base.signals import FloatArray
+from transopt.base.signals import AnyArray, FloatArray
 from transopt.base.writing import rounded_down
 from transopt.plant.amplifier import Amplifier
 from transopt.problem.warm_coil import currents
@@ -231,7 +230,7 @@ def bank_of(image: bytes) -> tuple[Bank, dict[str, Any]]:
     at = HEADER.size + numbers.nbytes
 
     def waveforms(form: str, offset: int, scale_A: FloatArray) -> tuple[FloatArray, list[list[float]]]:
-        counts: NDArray[Any] = np.frombuffer(image, dtype=form, count=nodes * N, offset=offset).reshape(nv, ng, N)
+        counts: AnyArray = np.frombuffer(image, dtype=form, count=nodes * N, offset=offset).reshape(nv, ng, N)
         squares = np.sum(counts.astype(np.int64) ** 2, axis=-1)
         return counts.astype(float) * scale_A[..., None], (scale_A * np.sqrt(squares.astype(float))).tolist()
 

@@ -7,15 +7,14 @@ that takes less than a lease, and when the run ends.
 
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controller.protocol.codes import STATES
 from controller.protocol.messages import STOP_PRESSED, Record
 from transopt.base.errors import InputError
 from transopt.base.files import whole_file
+from transopt.base.signals import AnyArray
 
 CSV_NAME, NPZ_NAME = "telemetry.csv", "telemetry.npz"
 # Counts are float64, since a broken encoder gives NaN. Events are few and are kept separately.
@@ -105,7 +104,7 @@ class Telemetry:
         (folder / NPZ_NAME).unlink(missing_ok=True)
         self._rows: list[tuple[int | float | str, ...]] = []  # rows not yet in the CSV
         self._texts: list[str] = []  # their events
-        self._blocks: list[NDArray[Any]] = []
+        self._blocks: list[AnyArray] = []
         self._events: dict[int, str] = {}  # number of a record -> its events
         self._records = self._stored = 0  # numbers of records in the blocks and in the NPZ
 

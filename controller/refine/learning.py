@@ -25,10 +25,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from transopt.base.filters import lowpass
-from transopt.base.signals import FloatArray, Signal
+from transopt.base.signals import ComplexArray, FloatArray, Signal
 
 POINTS = 4096  # length of the Fourier transforms
 SMOOTHING_HZ = 40.0  # half-width of the frequency average: the resolution of 30 ms
@@ -50,11 +49,11 @@ class Ratio:
     """
 
     frequencies_Hz: FloatArray
-    value: NDArray[np.complex128]
+    value: ComplexArray
     deviation: FloatArray
 
 
-def _smooth(values: NDArray[np.complex128] | FloatArray, bins: int) -> NDArray[np.complex128]:
+def _smooth(values: ComplexArray | FloatArray, bins: int) -> ComplexArray:
     kernel = scipy.signal.windows.hann(2 * bins + 1)
     padded = np.pad(values, bins, mode="reflect")
     return np.asarray(np.convolve(padded, kernel / kernel.sum(), mode="valid"), dtype=complex)

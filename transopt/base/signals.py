@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,9 @@ from transopt.base.shown import brief
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+BoolArray = NDArray[np.bool_]
+IndexArray = NDArray[np.intp]
+AnyArray = NDArray[Any]
 
 STANDARD_GRAVITY_M_S2 = 9.80665
 WHOLE_COUNTS = 0.01  # tolerance, in counts, of a change that has to be a multiple of one count

@@ -12,16 +12,14 @@ from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from transopt.base.errors import InputError
 from transopt.base.files import read_file
 from transopt.base.npz import Archive
-from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, AnyArray, FloatArray
 from transopt.base.sizes import MOST_RECORD_BYTES
 from transopt.files import mat5
 from transopt.files.containers import HDF5, Channels, guarded, hdf5_datasets, sheet_as_text, tdms_channels
@@ -51,7 +49,7 @@ _SAVE_MAT = "save it in MATLAB with -v7"
 OF_A_LIBRARY = {"meta", "command", "speeds_m_s"}  # arrays that show that `transopt solve` wrote the file
 UNIVERSAL = (".uff", ".unv", ".u58")
 _AXES = "xyz"
-Arrays = Mapping[str, NDArray[Any]]
+Arrays = Mapping[str, AnyArray]
 # Fields of a structure that hold the unit of its other fields; the last is that of Simcenter Testlab.
 UNIT_FIELDS = ("unit", "units", "quantity.label")
 FULL_SCALES_G = (50.0, 10.0, 5.0, 100.0, 16.0, 2.0, 500.0, 1.0)  # full scales of common sensors and their recorders
@@ -242,13 +240,13 @@ def _refuse_unstated(arrays: Arrays, names: Sequence[str], words: Vocabulary, ch
             )
 
 
-def _parted(named: Mapping[str, object], words: Vocabulary) -> dict[str, NDArray[Any]]:
+def _parted(named: Mapping[str, object], words: Vocabulary) -> dict[str, AnyArray]:
     """The variables, by their names within a structure if these are unique; the rows of a matrix become columns.
 
     A matrix of three rows that is an acceleration becomes the axes x, y and z.
     """
     short = Counter(name.rpartition(".")[2] for name in named)
-    found: dict[str, NDArray[Any]] = {}
+    found: dict[str, AnyArray] = {}
     for name in named:
         above, _, last = name.rpartition(".")
         key = last if short[last] == 1 else name
@@ -271,7 +269,7 @@ def _parted(named: Mapping[str, object], words: Vocabulary) -> dict[str, NDArray
     return dict(zip(with_axes(list(found)), found.values(), strict=True))
 
 
-def _column(values: NDArray[Any], name: str, *, is_complex: bool = False) -> NDArray[Any]:
+def _column(values: AnyArray, name: str, *, is_complex: bool = False) -> AnyArray:
     if values.dtype.kind not in ("iufc" if is_complex else "iuf") or values.size != max(values.shape, default=1):
         found = f"{quote(str(values.dtype))} of shape {values.shape}"
         raise InputError(f"variable {name} is {found}: must be one row or column of real numbers; convert it")

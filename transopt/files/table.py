@@ -12,11 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from transopt.base.errors import InputError
 from transopt.base.files import read_file
-from transopt.base.signals import FloatArray, Signal
+from transopt.base.signals import FloatArray, IndexArray, Signal
 from transopt.base.sizes import MOST_RECORD_BYTES
 from transopt.files.containers import guarded
 from transopt.files.formats import read_raw
@@ -79,7 +78,7 @@ class _Clock:
 
     start_s: float
     step_s: float
-    kept: NDArray[np.intp]
+    kept: IndexArray
     size: int
     off_grid: float
     missing: str

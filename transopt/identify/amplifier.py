@@ -5,11 +5,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft, optimize
 
 from transopt.base.errors import InputError
-from transopt.base.signals import ComplexArray, FloatArray
+from transopt.base.signals import BoolArray, ComplexArray, FloatArray
 from transopt.identify.amplifier_response import less_dead_band, sampled, simulate_current
 from transopt.identify.checks import (
     check_bins,
@@ -179,7 +178,7 @@ def fit_pole(groups: Sequence[Condensed], start: tuple[float, float] | None = No
     return likelihood.maximum_at(best, bounds[0] - 1, bounds[1] + 1, np.ones(3, dtype=bool))
 
 
-def _share(good: NDArray[np.bool_]) -> str:
+def _share(good: BoolArray) -> str:
     """The number of coherent bins and the number needed, as a phrase for messages."""
     count = f"{np.count_nonzero(good)} of {good.size} bins have a coherence of {COHERENT:g}"
     return f"{count}, at least {LEAST_BINS} are needed"

@@ -7,10 +7,9 @@ tell is passed on to the user beside the result.
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal, flat_extreme
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, BoolArray, FloatArray, Signal, flat_extreme
 from transopt.identify.findings import (
     COHERENT,
     END_PART,
@@ -173,7 +172,7 @@ def check_bins(where: str, estimate: TransferEstimate, least: int) -> list[Findi
     return [Check.FEW_BINS.at(where, bins=bins, least=least)] if bins < least else []
 
 
-def runs_of(frequencies_Hz: FloatArray, bad: NDArray[np.bool_]) -> list[tuple[float, float]]:
+def runs_of(frequencies_Hz: FloatArray, bad: BoolArray) -> list[tuple[float, float]]:
     """First and last frequency of each run of `bad` bins; a single good bin between bad ones does not end a run."""
     at = np.flatnonzero(bad)
     runs = np.split(at, np.flatnonzero(np.diff(at) > 2) + 1) if at.size else []

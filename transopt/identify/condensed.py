@@ -13,11 +13,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft, special
 
 from transopt.base.errors import InputError
-from transopt.base.signals import ComplexArray, FloatArray
+from transopt.base.signals import BoolArray, ComplexArray, FloatArray, IndexArray
 
 BINS_PER_OCTAVE = 24
 MOST_ORDER = 2  # largest degree of the local polynomial: curvature across a bin is followed, not averaged
@@ -54,7 +53,7 @@ class Condensed:
 
     middles_Hz: FloatArray
     frequencies_Hz: FloatArray
-    used: NDArray[np.bool_]
+    used: BoolArray
     middle: FloatArray
     normal: ComplexArray
     right: ComplexArray
@@ -63,7 +62,7 @@ class Condensed:
     power: FloatArray
     noise: FloatArray
     degrees: FloatArray
-    known: NDArray[np.bool_]
+    known: BoolArray
     dt_s: float
 
     @property
@@ -170,7 +169,7 @@ def condense(inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: 
 
 def _lines(
     inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: float
-) -> tuple[FloatArray, ComplexArray, ComplexArray, NDArray[np.int_]]:
+) -> tuple[FloatArray, ComplexArray, ComplexArray, IndexArray]:
     """All lines between 0 and half the sampling rate, both exclusive, sorted by bin and within a bin by trial.
 
     A bin is a 24th of an octave wide where the lines are dense. Elsewhere it takes as many lines as a fit needs: one

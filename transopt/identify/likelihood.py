@@ -14,9 +14,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from transopt.base.signals import ComplexArray, FloatArray
+from transopt.base.signals import BoolArray, ComplexArray, FloatArray, IndexArray
 from transopt.identify.condensed import Condensed
 from transopt.identify.squares import Squares, inverse
 
@@ -44,9 +43,9 @@ class Maximum:
     unknowns: FloatArray
     covariance: FloatArray
     chi_square: tuple[FloatArray, ...]
-    points: tuple[NDArray[np.int_], ...]
-    free: NDArray[np.bool_]
-    bounded: NDArray[np.bool_]
+    points: tuple[IndexArray, ...]
+    free: BoolArray
+    bounded: BoolArray
     between: FloatArray
 
     @property
@@ -86,7 +85,7 @@ class Likelihood(Squares):
             self._wanted.append(np.einsum("obij,obj->obi", roots, values))
 
     @property
-    def points(self) -> tuple[NDArray[np.int_], ...]:
+    def points(self) -> tuple[IndexArray, ...]:
         """Number of real values that count for each output, an array (o,) per group."""
         return tuple(2 * (group.known[:, :, None] & group.used).sum(axis=(1, 2)) for group in self.groups)
 
@@ -108,13 +107,13 @@ class Likelihood(Squares):
         return np.concatenate(residuals), np.concatenate(jacobians)
 
     def maximum(
-        self, start: FloatArray, low: FloatArray, high: FloatArray, free: NDArray[np.bool_], most: int = 200
+        self, start: FloatArray, low: FloatArray, high: FloatArray, free: BoolArray, most: int = 200
     ) -> Maximum:
         """The best unknowns near `start`, with their covariance."""
         unknowns, _ = self.search(start, low, high, free, most=most)
         return self.maximum_at(unknowns, low, high, free)
 
-    def maximum_at(self, unknowns: FloatArray, low: FloatArray, high: FloatArray, free: NDArray[np.bool_]) -> Maximum:
+    def maximum_at(self, unknowns: FloatArray, low: FloatArray, high: FloatArray, free: BoolArray) -> Maximum:
         """The `Maximum` at unknowns that a search has already found: their covariance and residuals."""
         residuals, jacobian = self.evaluate(unknowns)
         reach = 1e-6 * (high - low)
@@ -142,7 +141,7 @@ class Likelihood(Squares):
         found.covariance[bounded, bounded] = ((high - low)[bounded] / 4) ** 2  # 2 deviations to a side span the range
         return found
 
-    def _between(self, unknowns: FloatArray, covariance: FloatArray, inside: NDArray[np.bool_]) -> FloatArray:
+    def _between(self, unknowns: FloatArray, covariance: FloatArray, inside: BoolArray) -> FloatArray:
         """(free,) variance of each unknown by the trials' scores, over that from the noise within trials."""
         moves = []
         for j, group in enumerate(self.groups):

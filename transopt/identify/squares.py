@@ -7,10 +7,9 @@ unknowns are common to all.
 from collections.abc import Callable, Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize
 
-from transopt.base.signals import FloatArray
+from transopt.base.signals import BoolArray, FloatArray
 
 TOLERANCE = 1e-10
 STEP = 1e-6  # of finite differences, relative to the scale of an unknown
@@ -42,7 +41,7 @@ class Squares:
         start: FloatArray,
         low: FloatArray,
         high: FloatArray,
-        free: NDArray[np.bool_] | None = None,
+        free: BoolArray | None = None,
         *,
         most: int = 200,
         tolerance: float = TOLERANCE,
@@ -77,7 +76,7 @@ class Squares:
         start: FloatArray,
         low: FloatArray,
         high: FloatArray,
-        free: NDArray[np.bool_],
+        free: BoolArray,
         most: int,
         tolerance: float,
     ) -> Found:

@@ -14,12 +14,11 @@ from operator import is_
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from transopt.base.matrices import exponential
 from transopt.base.recursions import LinearSystem, Recursion
 from transopt.base.shown import brief
-from transopt.base.signals import FloatArray, read_only
+from transopt.base.signals import BoolArray, FloatArray, read_only
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.scaling import peaks, sizes
 from transopt.plant.state_space import StateSpace
@@ -359,9 +358,7 @@ def split_delay(delay_s: float, dt_s: float) -> tuple[int, float]:
     return whole, max(delay_s - whole * dt_s, 0.0)
 
 
-def acting_states(
-    plant: StateSpace, *, position: bool = False, outputs: Sequence[FloatArray] = ()
-) -> NDArray[np.bool_]:
+def acting_states(plant: StateSpace, *, position: bool = False, outputs: Sequence[FloatArray] = ()) -> BoolArray:
     """(n,) mask of the states on which acceleration and motor velocity depend, by the structure of the matrices.
 
     The position of a free device only integrates its velocity, so it is not among them unless `position` is set or an
@@ -369,7 +366,7 @@ def acting_states(
     a stage has at least one.
     """
     rows = [plant.C, plant.Cv, *([plant.Ce] if position else []), *outputs]
-    acting: NDArray[np.bool_] = (np.concatenate(rows) != 0).any(axis=0)
+    acting: BoolArray = (np.concatenate(rows) != 0).any(axis=0)
     by = plant.A != 0
     while True:
         more = acting | by[acting].any(axis=0)

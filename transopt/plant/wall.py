@@ -9,12 +9,11 @@ counts the current with the opposite sign.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from transopt.base import recursions
 from transopt.base.errors import InputError
 from transopt.base.shown import brief
-from transopt.base.signals import FloatArray, integral
+from transopt.base.signals import BoolArray, FloatArray, integral
 from transopt.plant.amplifier import Amplifier, prefilter, prefilter_coefficients
 from transopt.plant.time_grid import TimeGrid
 
@@ -135,7 +134,7 @@ class HandOver:
     wall: Wall
     nominal_m: FloatArray
     approach_m_s: float
-    pressing: NDArray[np.bool_]
+    pressing: BoolArray
 
     __repr__ = brief
 

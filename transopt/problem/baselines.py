@@ -1,11 +1,8 @@
 """The two baselines with which every table compares the optimum: the seed's inversion and the clipped optimum."""
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
-from transopt.base.signals import FloatArray, fast_length, splined
+from transopt.base.signals import AnyArray, FloatArray, fast_length, splined
 from transopt.plant.amplifier import prefilter
 from transopt.plant.discretise import StageModel
 from transopt.plant.time_grid import TimeGrid
@@ -52,7 +49,7 @@ def seed_inversion(
     return _play(stage, grid, wanted)
 
 
-def _inverted(spectrum: NDArray[Any], response: NDArray[Any]) -> NDArray[Any]:
+def _inverted(spectrum: AnyArray, response: AnyArray) -> AnyArray:
     """Currents (..., F) or (m, F) for accelerations (..., F) or (p, F), by the inverse of the response.
 
     The response is (F,), or (F, p, m), whose matrices are pseudo-inverted.

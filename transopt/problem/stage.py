@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from transopt.base.signals import FloatArray
+from transopt.base.signals import BoolArray, FloatArray
 from transopt.plant.discretise import StageModel
 from transopt.plant.scaling import state_scale
 from transopt.problem.limits.row import COMMAND, HELD, INPUT, VELOCITY, Row
@@ -102,7 +101,7 @@ class Layout:
         """Length of x."""
         return int(self.wall.stop) + self.motors
 
-    def dynamics_mask(self) -> NDArray[np.bool_]:
+    def dynamics_mask(self) -> BoolArray:
         """(n, n) entries of A that can differ from zero."""
         n, commands = self.states, range(self.states - self.motors, self.states)
         mask = np.zeros((n, n), dtype=bool)
@@ -131,7 +130,7 @@ class Layout:
             mask[later, later - 1] = True
         return mask
 
-    def output_mask(self) -> NDArray[np.bool_]:
+    def output_mask(self) -> BoolArray:
         """(outputs, n) entries of the output matrix that can differ from zero."""
         mask = np.zeros((self.outputs, self.states), dtype=bool)
         # Without an amplifier the command issued now acts at once.

@@ -8,17 +8,16 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from transopt.base.errors import InputError
 from transopt.base.filters import highpass_all
-from transopt.base.signals import FloatArray, Signal, alike, medians
+from transopt.base.signals import FloatArray, IndexArray, Signal, alike, medians
 from transopt.recordings.approach import GUARD_S
 from transopt.recordings.recording import Recording
 from transopt.recordings.settings import Recordings
 from transopt.recordings.split import SLOWEST_HZ, TAPS_AT_ONCE
 
-IntArray = NDArray[np.intp]
+IntArray = IndexArray
 
 AT_THE_START_S = 0.5e-3  # an onset this close to the start of the record has no baseline
 BASELINE_SAMPLES = 8  # fewest samples of a baseline

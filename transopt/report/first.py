@@ -13,10 +13,10 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from transopt.base.axes import Axes
 from transopt.base.shown import cut
+from transopt.base.signals import FloatArray
 from transopt.base.writing import percent
 from transopt.design.build import Build
 from transopt.design.price import Price, library_prices
@@ -109,7 +109,7 @@ class Look:
         return f"an error of {percent(after)} % of it follows after the waveform" if after >= POOR else ""
 
     @cached_property
-    def errors(self) -> NDArray[np.float64]:
+    def errors(self) -> FloatArray:
         """(nv, ng) tap error; NaN where refused."""
         return np.array([[NAN if row.refusal else float(row.value("tap")) for row in rows] for rows in self.rows])
 
@@ -136,7 +136,7 @@ class Look:
         return list(dict.fromkeys(map(stated_limit, held.split("; ")))) if held else []
 
 
-def _largest(values: NDArray[np.float64]) -> tuple[int, int] | None:
+def _largest(values: FloatArray) -> tuple[int, int] | None:
     if np.isnan(values).all():
         return None
     iv, ig = np.unravel_index(int(np.nanargmax(values)), values.shape)

@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from transopt.base.errors import InputError
-from transopt.base.signals import STANDARD_GRAVITY_M_S2
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, IndexArray
 from transopt.base.tables import Table
 from transopt.files.unclear import toml
 from transopt.recordings.approach import UNSEPARATED
@@ -130,7 +129,7 @@ def cells_table(taps: Sequence[PreparedTap], grid: Grid) -> Table | None:
     return table
 
 
-def _filled(count: int, column: int, known: NDArray[np.intp]) -> str:
+def _filled(count: int, column: int, known: IndexArray) -> str:
     """Content of a cell: its own taps, interpolation between neighbours, or the outermost grip of its speed."""
     if count:
         return str(count)

@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from transopt.base.plotting import LABEL_PT, style
-from transopt.base.signals import FloatArray
+from transopt.base.signals import BoolArray, FloatArray
 from transopt.base.writing import percent
 from transopt.problem.answer import AT_FLOOR
 from transopt.problem.objective.bands import JUST_NOTICED_dB
@@ -34,8 +33,8 @@ class Sweep:
 
     plan: Plan
     rows: Sequence[Row]
-    used: NDArray[np.bool_]
-    kept: NDArray[np.bool_]
+    used: BoolArray
+    kept: BoolArray
 
     @property
     def values(self) -> list[Any]:

@@ -8,10 +8,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
-from transopt.base.signals import ComplexArray, FloatArray
+from transopt.base.signals import BoolArray, ComplexArray, FloatArray
 from transopt.identify.condensed import Condensed
 from transopt.identify.device.response import ACCELERATION, CURRENT, INSTRUMENT, Instrument, Slope, responses
 from transopt.identify.likelihood import Likelihood, Maximum
@@ -241,7 +240,7 @@ class ChainModel:
         coordinates: Coordinates,
         instrument: Instrument,
         force_per_current_N_A: float,
-        free: NDArray[np.bool_],
+        free: BoolArray,
     ) -> None:
         self._groups, self._coordinates = groups, coordinates
         self._instrument, self._force = instrument, force_per_current_N_A
@@ -312,7 +311,7 @@ class ChainSearch:
         coordinates: Coordinates,
         instrument: Instrument,
         force_per_current_N_A: float,
-        free: NDArray[np.bool_],
+        free: BoolArray,
         *,
         loose: float = 0.0,
         step: int = 1,

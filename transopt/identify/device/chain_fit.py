@@ -11,10 +11,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from transopt.base.errors import InputError
-from transopt.base.signals import ComplexArray, FloatArray
+from transopt.base.signals import BoolArray, ComplexArray, FloatArray
 from transopt.identify.amplifier import fit_pole
 from transopt.identify.device.chain import (
     RANGE,
@@ -107,7 +106,7 @@ class ChainFit:
         return self.maximum.covariance[: self.coordinates.size, : self.coordinates.size]
 
     @property
-    def varying(self) -> NDArray[np.bool_]:
+    def varying(self) -> BoolArray:
         """(size,) whether an unknown is the hand's and differs between trials by more than noise explains."""
         of_hand = np.arange(self.coordinates.size) >= len(SHARED)
         return np.asarray(of_hand & (self.maximum.between[: self.coordinates.size] > VARIES))
@@ -187,7 +186,7 @@ def scaled_to(device: DriveChain, measured: Sequence[GripResponse], instrument: 
     return DriveChain(device.force_per_current_N_A, device.shared * heavier, device.hand * heavier)
 
 
-def _free(measured: Sequence[GripResponse], coordinates: Coordinates, instrument: Instrument) -> NDArray[np.bool_]:
+def _free(measured: Sequence[GripResponse], coordinates: Coordinates, instrument: Instrument) -> BoolArray:
     """(p,) whether these records can determine an unknown: the amplifier if the current was read beside the command,
     the accelerometer's gain if an encoder measured the motion."""
     amplifier = instrument.amplifier is not None and all(CURRENT in one.outputs for one in measured)

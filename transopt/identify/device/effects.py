@@ -11,11 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
 from transopt.base.filters import highpass
-from transopt.base.signals import ComplexArray, FloatArray, Signal
+from transopt.base.signals import BoolArray, ComplexArray, FloatArray, Signal
 from transopt.identify.checks import within
 from transopt.identify.device.chain import DriveChain
 from transopt.identify.device.chain_fit import ChainFit, response_slopes
@@ -213,9 +212,9 @@ class _Lines:
     first: int
     size: int
     periods: int
-    excited: NDArray[np.bool_]
-    even: NDArray[np.bool_]
-    odd: NDArray[np.bool_]
+    excited: BoolArray
+    even: BoolArray
+    odd: BoolArray
 
     @classmethod
     def of(cls, run: Measurement) -> "_Lines | None":

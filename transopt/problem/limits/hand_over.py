@@ -8,9 +8,8 @@ so that the wall's loop alone acts afterwards; that loop has to be stable.
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from transopt.base.signals import FloatArray
+from transopt.base.signals import FloatArray, IndexArray
 from transopt.plant.amplifier import prefilter_coefficients
 from transopt.plant.discretise import Motion
 from transopt.problem.problem import TransientProblem
@@ -39,7 +38,7 @@ def rows_after(problem: TransientProblem, stage: LinearStage) -> tuple[FloatArra
     return _rows(problem, stage, np.arange(N, N + M))
 
 
-def _rows(problem: TransientProblem, stage: LinearStage, at: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+def _rows(problem: TransientProblem, stage: LinearStage, at: IndexArray) -> tuple[FloatArray, FloatArray]:
     if problem.wall is None:
         return np.zeros((at.size, stage.units.size)), np.zeros(at.size)
     amplifier, dt = problem.stage.amplifier, problem.grid.dt_s

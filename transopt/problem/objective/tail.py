@@ -10,10 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from transopt.base.matrices import powers
-from transopt.base.signals import FloatArray
+from transopt.base.signals import FloatArray, IndexArray
 from transopt.problem.limits import hand_over
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import LinearStage, in_unit_scales, units_m_s2
@@ -46,7 +45,7 @@ class _Free:
     Q, R : factors of the weighted outputs Q R x_N, one row per instant and output.
     """
 
-    counting: NDArray[np.intp]
+    counting: IndexArray
     roots: FloatArray
     Q: FloatArray
     R: FloatArray
@@ -105,7 +104,7 @@ def _free_of(problem: TransientProblem) -> _Free:
     return _Free(counting, roots, Q, R)
 
 
-def _fixed(stage: LinearStage, M: int, counting: NDArray[np.intp]) -> FloatArray:
+def _fixed(stage: LinearStage, M: int, counting: IndexArray) -> FloatArray:
     """(M outputs, n) weighted outputs by x_N, instant by instant, with all commands zero."""
     n, m = stage.units.size, stage.motors
     loop, outputs = stage.A.copy(), stage.C[counting]
@@ -116,9 +115,7 @@ def _fixed(stage: LinearStage, M: int, counting: NDArray[np.intp]) -> FloatArray
     return by_state.reshape(M * counting.size, n)
 
 
-def _walled(
-    problem: TransientProblem, stage: LinearStage, counting: NDArray[np.intp]
-) -> tuple[FloatArray, FloatArray]:
+def _walled(problem: TransientProblem, stage: LinearStage, counting: IndexArray) -> tuple[FloatArray, FloatArray]:
     """(M outputs, n) outputs by x_N, and (M outputs,) their constant parts, under the wall's feedback command."""
     M, n = problem.grid.after_stages, stage.units.size
     gains, offsets = hand_over.rows_after(problem, stage)
