@@ -13,14 +13,12 @@ from controller.host.connection import Connection
 from controller.host.payload import Payload, excitation_settings_of
 from controller.servo.interface import State
 from controller.servo.settings import Settings
-from controller.sim.chosen_device import device_in
-from controller.sim.holding import HoldingHand
+from controller.sim.holding import HoldingHand, Wired
 from controller.sim.port import Clock, SimulatedPort, core_end
 from controller.sim.simulated_tap import SimulatedTap
-from controller.sim.simulator import Imperfections
+from controller.sim.simulator import Imperfections, device_in
 from controller.sim.tapping import SETTLE_S, TappingHand, tap_of
 from controller.sim.true_device import TrueDevice
-from controller.sim.wiring import Wired
 from transopt.scene.scene import Scene
 
 

@@ -100,7 +100,7 @@ def calibrate(
     terminal.make_folder(out)
     if simulated:
         from controller.cli.refine_taps import simulated_at
-        from controller.sim.chosen_device import device_in, scene_like
+        from controller.sim.simulator import device_in, scene_like
 
         own = loaded.scene().striking() if scene is None else scene_like(scene)
         if user:

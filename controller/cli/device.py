@@ -56,8 +56,7 @@ def simulated(
     ------
     InputError : the file is none of these.
     """
-    from controller.sim.chosen_device import scene_like
-    from controller.sim.simulator import Imperfections, Simulator
+    from controller.sim.simulator import Imperfections, Simulator, scene_like
     from controller.sim.true_device import DEFAULT_DEVICE, device_of
     from controller.sim.user import StillHand, TapsInTurn
 

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from transopt.base.errors import InputError
-from transopt.base.nearest import did_you_mean
+from transopt.base.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
     from controller.device.device_file import DeviceFile

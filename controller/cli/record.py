@@ -256,8 +256,8 @@ def record_heat(
     if heating + cooling < 10 * every:
         raise InputError(f"--heating {heating:g}, --cooling {cooling:g}: fewer than ten readings; record longer")
     from controller.record.trial_file import refuse_old, write_measurement
-    from controller.sim.chosen_device import scene_like
     from controller.sim.heating import heat_record, true_coil
+    from controller.sim.simulator import scene_like
 
     truth = scene_like(scene or DEFAULT_SCENE)
     coil, limits = truth.coil(), truth.limits

@@ -23,8 +23,7 @@ from controller.protocol.messages import PULSE_SOUND, HelloReply
 from controller.record.sweep_plan import PlannedSweep, Shape
 from controller.record.trial_file import refuse_old
 from controller.servo.settings import Settings
-from controller.sim.chosen_device import scene_like
-from controller.sim.simulator import Imperfections
+from controller.sim.simulator import Imperfections, scene_like
 from transopt.base import terminal
 from transopt.base.errors import InputError
 

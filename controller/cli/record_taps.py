@@ -20,10 +20,9 @@ from controller.record.played import height_m, met_surface
 from controller.record.recorder import Contact, Recorder, make_room
 from controller.record.trial_file import refuse_old, write_measurement
 from controller.servo.settings import Settings
-from controller.sim.chosen_device import device_in, scene_like
 from controller.sim.sensors import noise_seed
 from controller.sim.simulated_tap import SimulatedTap
-from controller.sim.simulator import Imperfections
+from controller.sim.simulator import Imperfections, device_in, scene_like
 from controller.sim.tapping import Motion, TappingHand, strike_of, tap_of
 from transopt.base import terminal
 from transopt.base.errors import InputError

@@ -149,7 +149,7 @@ def refine(
             f"{library}: is between two steps of --from-files: go on with them, or refine what it came from"
         )
     if simulated:
-        from controller.sim.chosen_device import device_in, scene_like
+        from controller.sim.simulator import device_in, scene_like
 
         true = device_in(loaded.scene() if scene is None else scene_like(scene), wrong, seed)
         bench, hand = simulated_at(loaded, true, wrong, seed, found.device)

@@ -120,9 +120,9 @@ def _simulated(
     """What the simulated device shall play, the bench it is on, and both in words."""
     from controller.cli.bench import simulated_bench
     from controller.host.payload import load_playable, payload_of
-    from controller.sim.chosen_device import scene_like
     from controller.sim.port import WallClock
     from controller.sim.simulated_tap import SimulatedTap
+    from controller.sim.simulator import scene_like
     from controller.sim.true_device import device_of
     from controller.waveforms.bank import Method, bank, solved_for
     from transopt.plant.intention import YIELDINGS

@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from controller.device.device_file import BUILT_IN, TABLES, DeviceFile
-from transopt.base.errors import InputError
+from transopt.base.errors import InputError, did_you_mean
 from transopt.base.files import is_file, whole_file
-from transopt.base.nearest import did_you_mean
 from transopt.base.toml import parse_toml, read_text, read_toml, section_of, toml_value
 from transopt.base.toml_edit import edited
 

@@ -14,8 +14,7 @@ from controller.host.check_state import Check, FailedError
 from controller.host.diagnosis import TOLERANCE
 from controller.host.driver import DeviceError, LinkLostError
 from controller.protocol.capacity import TRIAL_GAIN
-from transopt.base.errors import InputError
-from transopt.base.nearest import did_you_mean
+from transopt.base.errors import InputError, did_you_mean
 
 WITHIN = f"within {100 * TOLERANCE:g} %"
 

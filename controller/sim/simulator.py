@@ -7,6 +7,7 @@ integrated by the midpoint rule, so their error is of second order in the step. 
 import math
 from collections import deque
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -25,13 +26,17 @@ from controller.sim.true_device import (
     Ground,
     Layout,
     TrueDevice,
+    device_of,
     flow,
     nonlinear,
 )
 from controller.sim.user import User
 from transopt.base.signals import FloatArray
+from transopt.library.file import load_library
 from transopt.plant.coil import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, CoilModel
 from transopt.recordings.settings import SimulatedTaps
+from transopt.scene.builtin import load_scene
+from transopt.scene.scene import Scene
 
 GRIP_STEP_N = 0.05  # change of the grip from which on the matrices are updated
 EARLIEST_S = 1e-12  # a fraction of a tick in the delay below this counts as zero
@@ -343,3 +348,19 @@ class Simulator:
         motor_m, motor_m_s, stylus_m = float(x[0]), float(x[n]), float(x[stylus])
         current, contact = float(x[self._at.current]), float(now[S + CONTACT_FORCE])
         self._rows.append((time_s, acceleration, motor_m, motor_m_s, stylus_m, current, contact, self.winding_C))
+
+
+def scene_like(named: str | Path) -> Scene:
+    """A scene by built-in name or by path, or the one that a library was solved from.
+
+    Raises
+    ------
+    InputError : the name is neither a scene nor a library.
+    """
+    path = Path(named)
+    return load_library(path).scene() if path.suffix.lower() == ".npz" else load_scene(str(named))
+
+
+def device_in(scene: Scene, wrong: Imperfections, seed: int) -> TrueDevice:
+    """The true device of a scene: that of `transopt-play tap --simulate` with the same mismatch and seed."""
+    return true_device(device_of(scene), wrong, seed)

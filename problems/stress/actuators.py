@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from transopt.plant.moving_coil import VoiceCoil
 from transopt.plant.state_space import CURRENT_INPUT, VOLTAGE_INPUT, Input, StateSpace
-from transopt.plant.voice_coil import VoiceCoil
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from problems.stress.parts import (
 from transopt.design.context import Posed
 from transopt.design.intensity import most_price
 from transopt.plant.amplifier import Amplifier
-from transopt.plant.circuit import Circuit
+from transopt.plant.coil import Circuit
 from transopt.plant.discretise import discretise
 from transopt.plant.intention import Intention
 from transopt.plant.state_space import CURRENT_INPUT, Input, StateSpace

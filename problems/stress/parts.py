@@ -14,8 +14,7 @@ from transopt.plant.intention import INTENTION_S, Yielding
 from transopt.plant.second_order import second_order
 from transopt.plant.state_space import StateSpace
 from transopt.plant.time_grid import TimeGrid
-from transopt.problem.objective.error_term import ErrorTerm
-from transopt.problem.objective.rapid import rapid, rapid_filter
+from transopt.problem.objective.error_term import ErrorTerm, rapid, rapid_filter
 from transopt.problem.objective.target import Target
 
 PEAK_PER_SPEED_1_S = 280.0  # of a tap on wood: 28 m/s^2 at 0.1 m/s

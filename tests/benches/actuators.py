@@ -13,9 +13,8 @@ from transopt.base.signals import FloatArray
 from transopt.design.solve import solve
 from transopt.library.library import Library
 from transopt.plant.amplifier import Amplifier
-from transopt.plant.inertial import Inertial
+from transopt.plant.moving_coil import Inertial, VoiceCoil
 from transopt.plant.state_space import Input, Output, StateSpace
-from transopt.plant.voice_coil import VoiceCoil
 from transopt.scene.scene import Scene
 
 LRA: dict[str, Any] = {

@@ -12,8 +12,7 @@ from transopt.plant.time_grid import TimeGrid
 from transopt.problem.limits import limits_of
 from transopt.problem.limits.command import CommandLimit
 from transopt.problem.limits.current import CurrentLimit
-from transopt.problem.objective.plain import plain
-from transopt.problem.objective.rapid import rapid
+from transopt.problem.objective.error_term import plain, rapid
 from transopt.problem.objective.target import Target
 from transopt.problem.objective.weighting import highpass
 from transopt.problem.problem import TransientProblem

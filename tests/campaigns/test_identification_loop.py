@@ -39,11 +39,10 @@ import typer
 import problems
 from controller.record.metrics import align
 from controller.refine.heard import Node, nodes_of
-from controller.sim.chosen_device import device_in
 from controller.sim.played_tap import play_tap
 from controller.sim.sensors import noise_seed
 from controller.sim.simulated_tap import SimulatedTap
-from controller.sim.simulator import Imperfections
+from controller.sim.simulator import Imperfections, device_in
 from controller.sim.true_device import TrueDevice
 from problems.generators.strikes import write_csv
 from tests.benches.compiled import servo_of

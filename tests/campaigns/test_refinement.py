@@ -45,10 +45,9 @@ from controller.record.metrics import align
 from controller.refine.heard import Heard, Node, nodes_of
 from controller.refine.recorded import recorded_tap
 from controller.refine.rounds import Refined, refine
-from controller.sim.chosen_device import device_in
 from controller.sim.played_tap import play_tap
 from controller.sim.simulated_tap import SimulatedTap
-from controller.sim.simulator import Imperfections
+from controller.sim.simulator import Imperfections, device_in
 from tests.benches.compiled import servo_of
 from tests.benches.libraries import part_of
 from tests.benches.other_device import (

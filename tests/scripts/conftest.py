@@ -10,8 +10,7 @@ import pytest
 from tests.benches.scripts import script
 from tests.conftest import STAGES, ProblemMaker
 from transopt.design.context import Context
-from transopt.problem.objective.plain import plain
-from transopt.problem.objective.rapid import rapid, rapid_filter
+from transopt.problem.objective.error_term import plain, rapid, rapid_filter
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 

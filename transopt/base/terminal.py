@@ -24,8 +24,7 @@ from rich.text import Text
 from typer.main import get_command
 
 from transopt.base import apart
-from transopt.base.errors import InputError
-from transopt.base.nearest import did_you_mean
+from transopt.base.errors import InputError, did_you_mean
 from transopt.base.threads import one_thread
 
 if TYPE_CHECKING:

@@ -12,9 +12,8 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from transopt.base.errors import InputError
+from transopt.base.errors import InputError, did_you_mean
 from transopt.base.files import check_depth, read_file
-from transopt.base.nearest import did_you_mean
 from transopt.base.section import Section
 from transopt.base.shown import cut
 from transopt.base.sizes import MOST_TEXT_BYTES

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from transopt.base import terminal
-from transopt.base.errors import InputError
-from transopt.base.nearest import did_you_mean
+from transopt.base.errors import InputError, did_you_mean
 from transopt.cli.scene import ACCEPT_HELP, DEFAULT_SCENE, key_table
 
 if TYPE_CHECKING:

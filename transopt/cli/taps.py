@@ -178,7 +178,7 @@ def _speeds(text: str) -> list[float]:
 def _write_template(file: Path, *, force: bool) -> None:
     """Write a recording to fill in."""
     from transopt.cli.scene import write_new
-    from transopt.recordings.template import template
+    from transopt.report.taps import template
 
     write_new(file, template(), force=force, ending=".csv")
     typer.echo(f"{file} written; put your tap in it, then: transopt taps {shlex.quote(str(file))}")

@@ -22,7 +22,7 @@ import scipy
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.base.writing import rounded_down
-from transopt.plant.circuit import Circuit
+from transopt.plant.coil import Circuit
 
 # The bounds are the range over which the model was compared with a simulated bridge.
 SLOWEST_SWITCHING_HZ, FASTEST_SWITCHING_HZ = 10e3, 100e3

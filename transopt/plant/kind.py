@@ -1,6 +1,6 @@
 """The interface of a kind of plant: the table `[model]` of a scene, and the state space built from it at a grip.
 
-To add a kind of plant, write a file here with a class of this interface and name it in `transopt.plant.kinds`. Its
+To add a kind of plant, write a class of this interface and name it in `transopt.plant.kinds`. Its
 keys are then keys of a scene, and limits may be stated on its named outputs (`limits.own`); no other code changes.
 """
 
@@ -10,7 +10,7 @@ from typing import Annotated, ClassVar
 from pydantic import Field
 
 from transopt.base.section import Section
-from transopt.plant.circuit import Circuit
+from transopt.plant.coil import Circuit
 from transopt.plant.motor import Tip, Winding
 from transopt.plant.state_space import CURRENT_INPUT, Input, StateSpace
 

@@ -8,7 +8,8 @@ F = BL i - k x - c dx/dt the force between them. Then
 
 The tracked acceleration is x'' of the moving part on the ground, or F / M of the case. Both are positive for a
 positive input: the case's is counted in the direction in which F pushes it, opposite to x. With a voltage input and
-no inductance i = (u - BL dx/dt) / R, which damps the motion.
+no inductance i = (u - BL dx/dt) / R, which damps the motion. Outputs: "position" x and "velocity" dx/dt, and
+"current" if a voltage drives a coil with an inductance.
 
 If an external force f strikes the part whose acceleration is tracked, with open terminals,
 
@@ -25,9 +26,9 @@ from pydantic import model_validator
 from transopt.base.arithmetic import Formula
 from transopt.base.errors import InputError
 from transopt.base.section import NonNegative, Positive
-from transopt.plant.circuit import Circuit
+from transopt.plant.coil import Circuit
 from transopt.plant.kind import PlantKind
-from transopt.plant.motor import Tip
+from transopt.plant.motor import Tip, Winding
 from transopt.plant.nonlinear import VARIABLES, Nonlinear, NonlinearCoil
 from transopt.plant.state_space import CURRENT_INPUT, POSITION, VELOCITY, VOLTAGE_INPUT, Input, Output, StateSpace
 
@@ -204,3 +205,74 @@ def moving_coil(
         outputs=outputs,
         driven_by=VOLTAGE_INPUT if by_voltage else CURRENT_INPUT,
     )
+
+
+class Inertial(MovingCoil):
+    """A mass on a spring that shakes its case, such as an LRA, by f0, Q, moving mass, force factor, R and L.
+
+    f0 and Q are those of the mounted actuator with open terminals: k = mu (2 pi f0)^2 and c = mu 2 pi f0 / Q.
+    Datasheets state them on a jig of some 100 g, which is then the case.
+
+    Attributes
+    ----------
+    resonance_Hz : f0 with open terminals, in the stated case.
+    quality : mechanical Q with open terminals.
+    moving_mass_kg : mass that moves inside the case.
+    case_mass_kg : mass of the case and of what is mounted on it, which shall shake.
+    """
+
+    kind: Literal["inertial"]
+    resonance_Hz: Positive
+    quality: Positive
+    moving_mass_kg: Positive
+    case_mass_kg: Positive
+
+    def produced(self, resonance: float, quality: float) -> Self:
+        return self.model_copy(
+            update={"resonance_Hz": resonance * self.resonance_Hz, "quality": quality * self.quality}
+        )
+
+    @property
+    def mechanics(self) -> Mechanics:
+        w = 2 * np.pi * self.resonance_Hz
+        reduced_kg = self.moving_mass_kg * self.case_mass_kg / (self.moving_mass_kg + self.case_mass_kg)
+        return Mechanics(self.moving_mass_kg, self.case_mass_kg, reduced_kg * w**2, reduced_kg * w / self.quality)
+
+
+class VoiceCoil(MovingCoil):
+    """A coil in a magnet, by moving mass, suspension, force factor BL, R and L; in a case if one is stated.
+
+    The coil's temperature is modelled if `winding` is stated and the input is a current.
+
+    Attributes
+    ----------
+    moving_mass_kg : mass that moves relative to the ground or the case.
+    case_mass_kg : mass of the case, which shall shake; without it the support is the ground.
+    stiffness_N_m : spring of the suspension.
+    damping_N_s_m : damper of the suspension.
+    winding : table of the coil's thermal data.
+    """
+
+    kind: Literal["voice_coil"]
+    moving_mass_kg: Positive
+    case_mass_kg: Positive | None = None
+    stiffness_N_m: NonNegative = 0.0
+    damping_N_s_m: NonNegative
+    winding: Winding | None = None
+
+    @property
+    def known_winding(self) -> Winding | None:
+        return self.winding
+
+    def produced(self, resonance: float, quality: float) -> Self:
+        # w0^2 = k / mu, Q = sqrt(k mu) / c.
+        return self.model_copy(
+            update={
+                "stiffness_N_m": resonance**2 * self.stiffness_N_m,
+                "damping_N_s_m": resonance / quality * self.damping_N_s_m,
+            }
+        )
+
+    @property
+    def mechanics(self) -> Mechanics:
+        return Mechanics(self.moving_mass_kg, self.case_mass_kg, self.stiffness_N_m, self.damping_N_s_m)

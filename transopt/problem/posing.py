@@ -12,8 +12,7 @@ from transopt.base.kept import Kept
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
-from transopt.plant.circuit import Circuit
-from transopt.plant.coil import CoilModel
+from transopt.plant.coil import Circuit, CoilModel
 from transopt.plant.discretise import StageModel, discretise
 from transopt.plant.intention import INTENTION_S
 from transopt.plant.state_space import CURRENT_INPUT, Input, StateSpace
@@ -23,9 +22,7 @@ from transopt.problem.heat import Budget
 from transopt.problem.limits import needed_outputs, posed
 from transopt.problem.limits.limit import Setting
 from transopt.problem.limits.own import LawOf
-from transopt.problem.objective.error_term import ErrorTerm
-from transopt.problem.objective.plain import plain
-from transopt.problem.objective.rapid import rapid
+from transopt.problem.objective.error_term import ErrorTerm, plain, rapid
 from transopt.problem.objective.target import Target
 from transopt.problem.objective.weighting import ErrorFilter
 from transopt.problem.problem import TransientProblem

@@ -22,8 +22,7 @@ from transopt.problem.limits.row import Row
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.objective.figures import Figures, Yardstick
-from transopt.problem.objective.heat_price import HeatPrice
-from transopt.problem.objective.movement import Movement
+from transopt.problem.objective.movement import HeatPrice, Movement
 from transopt.problem.objective.target import Target
 from transopt.problem.objective.tracking import Tracking, values
 

@@ -8,9 +8,8 @@ the user's script.
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from transopt.base.errors import InputError
+from transopt.base.errors import InputError, did_you_mean
 from transopt.base.files import is_file
-from transopt.base.nearest import did_you_mean
 
 if TYPE_CHECKING:
     from transopt.scene.scene import Scene

@@ -1,6 +1,12 @@
-"""Reads scene files; errors name the file's table, key, value and limit."""
+"""Reads and writes scene files; errors name the file's table, key, value and limit.
+
+The user's own limits are in Python files with a list `LIMITS` of results of `transopt.own_limit`. Such a file is a
+program of the user and is executed when a scene that names it is read; each limit describes itself as a table.
+"""
 
 import re
+import runpy
+import traceback
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -8,14 +14,13 @@ from typing import Any
 from pydantic import ValidationError
 
 from transopt.base import toml
-from transopt.base.errors import InputError
+from transopt.base.errors import InputError, did_you_mean
 from transopt.base.files import is_file
-from transopt.base.nearest import did_you_mean
 from transopt.base.shown import cut
+from transopt.base.toml import toml_key, toml_value
 from transopt.plant.matrices import Matrices
 from transopt.plant.state_space import StateSpace
 from transopt.scene.model_file import identified_table, put_model, served_grips
-from transopt.scene.own_file import own_tables
 from transopt.scene.plant_file import with_plant_file
 from transopt.scene.plausible import check_plausible
 from transopt.scene.scene import Scene
@@ -38,6 +43,7 @@ REPLACED = {
 _MODEL_LINE = re.compile(r"^\s*model\s*=", re.MULTILINE)
 _MODEL_TABLE = re.compile(r"^\s*\[model[.\]]", re.MULTILINE)
 ADVICE = "a scene is a TOML file; `transopt scene list` names the built-in scenes"
+LIST = "LIMITS"
 
 
 def explain(source: Path | str, error: ValidationError, content: dict[str, Any]) -> str:
@@ -199,3 +205,67 @@ def read_scene(
         own = limits.pop("own")
         limits["own"] = own_tables(path, own, validated(path, content).stages)
     return validated(path, content)
+
+
+def own_tables(scene: Path, named: Any, stages: int) -> list[dict[str, Any]]:
+    """The tables of all limits in the named files, whose paths are relative to the scene's folder.
+
+    Parameters
+    ----------
+    named : the scene's value of `limits.own`; tables in it are kept.
+    stages : number of stages of the scene's horizon, over which stage-dependent numbers are written out.
+
+    Raises
+    ------
+    InputError : no such file, a file that raises an error, or one without limits.
+    """
+    if not isinstance(named, list):
+        raise InputError(f'{scene}: limits.own = {named!r}: must be a list of files, as in own = ["my_limits.py"]')
+    found: list[dict[str, Any]] = []
+    for each in named:
+        found += [each] if isinstance(each, dict) else _read(scene, each, stages)
+    names = [table.get("name") for table in found]
+    if len(set(names)) < len(names):
+        raise InputError(f"{scene}: limits.own: two limits have the name {max(names, key=names.count)}: rename one")
+    return found
+
+
+def _read(scene: Path, named: Any, stages: int) -> list[dict[str, Any]]:
+    if not isinstance(named, str):
+        raise InputError(f"{scene}: limits.own: {named!r} is not the name of a file")
+    path = scene.parent / named
+    if not is_file(path):
+        raise InputError(f"{scene}: limits.own = {named!r}: no such file in {scene.parent}")
+    try:
+        stated = runpy.run_path(str(path)).get(LIST)
+        if not isinstance(stated, list) or not stated:
+            raise InputError(f"it has no list {LIST} of limits: LIMITS = [transopt.own_limit(...)]")
+        return [limit.table(stages) for limit in stated]
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    except Exception as error:  # a user's program may raise anything
+        line = next(
+            (f.lineno for f in reversed(traceback.extract_tb(error.__traceback__)) if f.filename == str(path)), 0
+        )
+        words = str(error).strip().splitlines() or [""]
+        raise InputError(f"{path}, line {line}: {type(error).__name__}: {words[-1]}") from None
+
+
+def scene_text(scene: Scene) -> str:
+    """The TOML text of a scene, one table after the other; keys without a value are left out.
+
+    Motor, transmission and model are written as tables, even if they were read from files, so that the scene needs no
+    other files than the recordings.
+    """
+    content = scene.model_dump(mode="json", exclude_none=True)
+    if isinstance(scene.model, Matrices):
+        del content["model"]["file"]  # the matrices are written out, and may be stated only once
+    plain = {key: value for key, value in content.items() if not isinstance(value, dict)}
+    # Keys of the scene come first: after a table's header they would belong to that table.
+    blocks = ["\n".join(f"{key} = {toml_value(value)}" for key, value in plain.items() if value != [])]
+    for key, value in content.items():
+        if isinstance(value, dict) and value:
+            blocks.append(
+                "\n".join([f"[{key}]", *(f"{toml_key(name)} = {toml_value(each)}" for name, each in value.items())])
+            )
+    return "\n\n".join(block for block in blocks if block) + "\n"

@@ -13,8 +13,7 @@ from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from transopt.base.errors import InputError
-from transopt.base.nearest import nearest
+from transopt.base.errors import InputError, nearest
 from transopt.base.section import Section, meanings
 from transopt.base.toml import in_words
 from transopt.base.units import largest, unit_of

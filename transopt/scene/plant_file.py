@@ -16,9 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from transopt.base.errors import InputError
+from transopt.base.errors import InputError, did_you_mean
 from transopt.base.files import read_file, whole_file
-from transopt.base.nearest import did_you_mean
 from transopt.base.npz import Archive
 from transopt.base.shown import cut
 from transopt.base.signals import FloatArray

@@ -18,8 +18,7 @@ from transopt.base.sizes import MOST_NODES, MOST_STAGES
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.arm import Arm
 from transopt.plant.bridge import Bridge
-from transopt.plant.circuit import Circuit
-from transopt.plant.coil import PWM_RIPPLE_A, CoilModel
+from transopt.plant.coil import PWM_RIPPLE_A, Circuit, CoilModel
 from transopt.plant.drive import Drive
 from transopt.plant.fourth_order import FourthOrder
 from transopt.plant.hand import HandSection
@@ -34,7 +33,7 @@ from transopt.plant.time_grid import TimeGrid, samples_after
 from transopt.plant.wall import Wall
 from transopt.problem.heat import Budget
 from transopt.problem.limits.input import SHARES as MOTOR_SHARES
-from transopt.problem.objective.rapid import rapid_filter
+from transopt.problem.objective.error_term import rapid_filter
 from transopt.problem.posing import Posing
 from transopt.recordings.settings import Recordings
 from transopt.references.targets import TargetTable

@@ -7,8 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from transopt.base import apart
-from transopt.base.errors import InputError
-from transopt.base.nearest import did_you_mean
+from transopt.base.errors import InputError, did_you_mean
 from transopt.base.signals import FloatArray
 from transopt.base.threads import one_blas_thread
 from transopt.problem.answer import Certificate, Multipliers, Solution, Status

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from transopt.base.errors import InputError
-from transopt.base.nearest import did_you_mean
+from transopt.base.errors import InputError, did_you_mean
 from transopt.base.section import Section
 from transopt.base.toml import read_section
 from transopt.plant.motor import Motor, Transmission

@@ -12,8 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from transopt.base.errors import InputError
-from transopt.base.nearest import did_you_mean
+from transopt.base.errors import InputError, did_you_mean
 from transopt.base.units import unit_of, words_of
 from transopt.scene.keys import Key, check_value, find_key
 from transopt.scene.scene import Scene

@@ -33,10 +33,10 @@ from transopt.recordings.recording import Recording
 from transopt.references.reference import Reference
 from transopt.references.references import References
 from transopt.scene.builtin import FOLDER
+from transopt.scene.file import scene_text
 from transopt.scene.keys import IN_PLACE_OF, Value, keys, with_values
 from transopt.scene.recordings import recordings_of, references_of
 from transopt.scene.scene import Scene
-from transopt.scene.written import scene_text
 from transopt.solvers.options import SolverOptions, TrialOptions
 from transopt.web.controls import DEVICE, TABLES, Control, controls
 from transopt.web.price import priced

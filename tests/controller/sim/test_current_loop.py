@@ -13,7 +13,7 @@ from controller.sim.user import StillHand
 from tests.benches.switched_bridge import switch
 from transopt.base.signals import FloatArray
 from transopt.plant.bridge import Bridge
-from transopt.plant.circuit import Circuit
+from transopt.plant.coil import Circuit
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 

@@ -17,7 +17,7 @@ from transopt.design.resolve import resolve
 from transopt.library.library import Library
 from transopt.library.posed import NONLINEAR_CLAIM
 from transopt.library.proven import doubts
-from transopt.plant.inertial import Inertial
+from transopt.plant.moving_coil import Inertial
 from transopt.problem.answer import Status
 
 DT_S, STAGES, AFTER = 2e-4, 80, 30

@@ -7,9 +7,8 @@ from tests.benches.actuators import ten_states
 from transopt.base.errors import InputError
 from transopt.base.signals import ComplexArray, FloatArray
 from transopt.identify.response_fit import HIGHEST_ORDER, MOST_MISFIT, ResponseFit, fit_response
-from transopt.plant.inertial import Inertial
+from transopt.plant.moving_coil import Inertial, VoiceCoil
 from transopt.plant.state_space import CURRENT_INPUT, VOLTAGE_INPUT
-from transopt.plant.voice_coil import VoiceCoil
 
 F_HZ = np.geomspace(20, 2000, 400)
 LRA = Inertial(

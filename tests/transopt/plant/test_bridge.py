@@ -12,7 +12,7 @@ from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.bridge import Bridge
-from transopt.plant.circuit import Circuit
+from transopt.plant.coil import Circuit
 from transopt.problem.heat import Heating, heating
 
 DT_S = 1e-4

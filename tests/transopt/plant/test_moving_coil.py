@@ -11,11 +11,10 @@ import pytest
 from scipy import integrate, optimize
 
 from transopt.plant.discretise import discretise
-from transopt.plant.inertial import Inertial
 from transopt.plant.kind import PlantKind
 from transopt.plant.matrices import Matrices
+from transopt.plant.moving_coil import Inertial, VoiceCoil
 from transopt.plant.state_space import StateSpace
-from transopt.plant.voice_coil import VoiceCoil
 
 # Invented actuators of the usual sizes: an LRA on a jig, and a voice coil on the ground or in a case.
 F0_HZ, Q, MASS_KG, CASE_KG, BL_N_A, R_OHM = 150.0, 8.0, 0.003, 0.1, 0.8, 8.0

@@ -12,10 +12,9 @@ from transopt.base.errors import InputError
 from transopt.plant import nonlinear_stage
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.discretise import AFTER, Motion, discretise
-from transopt.plant.inertial import Inertial
+from transopt.plant.moving_coil import Inertial, VoiceCoil
 from transopt.plant.nonlinear import Nonlinear, NonlinearCoil
 from transopt.plant.nonlinear_stage import NonlinearStage, resolved
-from transopt.plant.voice_coil import VoiceCoil
 
 DT_S = 1e-4
 LAWS = {

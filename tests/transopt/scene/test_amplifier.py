@@ -9,10 +9,9 @@ from tests.benches.model_parts import ON_FILE, POLE, Make, amplifier_part, asser
 from transopt.base.errors import InputError
 from transopt.design.solve import solve
 from transopt.plant.coil import PWM_RIPPLE_A
-from transopt.scene.file import read_scene
+from transopt.scene.file import read_scene, scene_text
 from transopt.scene.keys import find_key, with_values
 from transopt.scene.scene import Scene
-from transopt.scene.written import scene_text
 
 BRIDGE = {
     "amplifier.pole_Hz": None,

@@ -18,11 +18,10 @@ from transopt.problem.limits import posed
 from transopt.problem.limits.limit import Limits, Setting
 from transopt.scene import builtin
 from transopt.scene.builtin import FOLDER, load_scene, scene_names, scene_path
-from transopt.scene.file import read_scene
+from transopt.scene.file import read_scene, scene_text
 from transopt.scene.keys import keys, with_values
 from transopt.scene.recordings import recordings_of
 from transopt.scene.scene import Scene
-from transopt.scene.written import scene_text
 
 TEXT = problems.scene_path("wood_on_foam").read_text()
 

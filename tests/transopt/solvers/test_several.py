@@ -10,7 +10,7 @@ from tests.benches.dense_motors import Dense
 from tests.benches.limits import aiming_in_window
 from transopt.base.errors import InputError
 from transopt.plant.chain import Link
-from transopt.plant.circuit import Circuit
+from transopt.plant.coil import Circuit
 from transopt.plant.drive import drive
 from transopt.plant.hand import Hand, LinearInGrip
 from transopt.plant.state_space import StateSpace

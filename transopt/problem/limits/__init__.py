@@ -8,18 +8,16 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
-from transopt.plant.circuit import Circuit
+from transopt.plant.coil import Circuit
 from transopt.plant.state_space import CURRENT_INPUT, Input
 from transopt.problem.limits.command import CommandLimit, VoltageCommandLimit
 from transopt.problem.limits.current import CoilCurrentLimit, CurrentLimit, FollowingCurrentLimit
 from transopt.problem.limits.limit import Limit, Limits, Setting
-from transopt.problem.limits.output import OutputLimit
+from transopt.problem.limits.output import OutputLimit, StrokeLimit, VelocityLimit
 from transopt.problem.limits.own import LawOf, OwnLimit, outputs_needed, own_limits
 from transopt.problem.limits.slew import SlewLimit, VoltageSlewLimit
-from transopt.problem.limits.stroke import StrokeLimit
 from transopt.problem.limits.supply import SupplyLimit
 from transopt.problem.limits.temperature import TemperatureLimit
-from transopt.problem.limits.velocity import VelocityLimit
 from transopt.problem.limits.voltage import SaggingVoltageLimit, VoltageLimit
 
 KINDS: tuple[type[Limit], ...] = (

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from transopt.base.signals import FloatArray
-from transopt.plant.circuit import Circuit
+from transopt.plant.coil import Circuit
 from transopt.plant.state_space import CURRENT_INPUT, VOLTAGE_INPUT
 from transopt.problem.limits.input import InputLimit
 from transopt.problem.limits.limit import Limit, Posed, Setting, positive

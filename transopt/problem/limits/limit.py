@@ -11,8 +11,7 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
-from transopt.plant.circuit import Circuit
-from transopt.plant.coil import CoilModel
+from transopt.plant.coil import Circuit, CoilModel
 from transopt.plant.discretise import StageModel
 from transopt.plant.state_space import Input
 from transopt.plant.time_grid import TimeGrid

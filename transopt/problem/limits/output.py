@@ -253,3 +253,44 @@ def _unseen(stage: StageModel, row: FloatArray, size: FloatArray, g_s: float) ->
         curvature = np.abs(np.append(row, 0.0) @ flow @ flow) @ exponential(np.abs(flow) * g_s)
         bound = g_s**2 / 8 * float(curvature @ np.append(size, 1.0))
     return bound if np.isfinite(bound) else np.inf
+
+
+@dataclass(frozen=True, repr=False)
+class StrokeLimit(OutputLimit):
+    """The limit on the displacement z of the motor mass from contact, as the encoder reads it [m]."""
+
+    name: ClassVar[str] = "stroke"
+    label: ClassVar[str] = "stroke"
+    unit: ClassVar[str] = "m"
+    step_unit: ClassVar[str] = "m"
+    key: ClassVar[str] = "stroke_m"
+    row_names: ClassVar[tuple[str, ...]] = ("stroke",)
+    needs: ClassVar[tuple[str, ...]] = ("position",)
+    of_each_device: ClassVar[bool] = True
+    said_without: ClassVar[str] = "the scene states no stroke limit"
+    output: ClassVar[str] = "position"
+    grading: ClassVar[int] = 1
+
+    @staticmethod
+    def nominal_part(setting: Setting) -> FloatArray:
+        return setting.nominal_m
+
+
+@dataclass(frozen=True, repr=False)
+class VelocityLimit(OutputLimit):
+    """The limit on the velocity dz/dt of the motor mass [m/s]; it begins at the incoming speed."""
+
+    name: ClassVar[str] = "velocity"
+    label: ClassVar[str] = "velocity"
+    unit: ClassVar[str] = "m/s"
+    step_unit: ClassVar[str] = "m/s"
+    key: ClassVar[str] = "velocity_m_s"
+    row_names: ClassVar[tuple[str, ...]] = ("velocity",)
+    needs: ClassVar[tuple[str, ...]] = ("velocity",)
+    of_each_device: ClassVar[bool] = True
+    said_without: ClassVar[str] = "the scene states no velocity limit"
+    output: ClassVar[str] = "velocity"
+
+    @staticmethod
+    def nominal_part(setting: Setting) -> FloatArray:
+        return setting.nominal_m_s

@@ -16,8 +16,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from transopt.base.signals import FloatArray
-from transopt.plant.circuit import Circuit
-from transopt.plant.coil import CoilModel
+from transopt.plant.coil import Circuit, CoilModel
 from transopt.plant.state_space import CURRENT_INPUT
 from transopt.problem.heat import Budget, winding_limit_C
 from transopt.problem.limits.limit import Limit, Posed, Setting, positive

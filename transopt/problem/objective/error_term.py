@@ -1,13 +1,15 @@
-"""One term of the tracking error: its filter and its weights."""
+"""The terms of the tracking error: the plain one while the hand's motion is known, the rapid one throughout."""
 
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from transopt.base.errors import InputError
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
-from transopt.problem.objective.weighting import ErrorFilter
+from transopt.plant.time_grid import TimeGrid
+from transopt.problem.objective.weighting import RAPID, ErrorFilter, highpass, pacinian
 
 
 @dataclass(frozen=True)
@@ -50,3 +52,45 @@ class ErrorTerm:
     def all_weights(self, before: int, after: int) -> FloatArray:
         """(L + N + M,) weights of the lost samples, of the window and of the tail."""
         return np.concatenate([np.full(before, self.before), self.weights, np.full(after, self.after)])
+
+
+def plain(weight: float, grid: TimeGrid, intention_s: float) -> ErrorTerm:
+    """The unfiltered error with a constant weight until the intention ends, and with zero weight after it.
+
+    During the intention the hand moves on as it came, so the surface causes the whole recorded deceleration.
+    Afterwards a recording does not separate the hand's own motion from the surface's effect, so slow motion is not
+    tracked.
+
+    Parameters
+    ----------
+    weight : >= 0.
+    intention_s : duration after contact for which the hand's intention is known; infinite for a named target.
+    """
+    within = grid.switching_times_s < intention_s
+    # A target that fills the window is a named one, without a hand: ringing after it is error too.
+    after = weight if within.all() else 0.0
+    return ErrorTerm("plain", np.where(within, weight, 0.0), weight, after)
+
+
+def rapid_filter(kind: str, from_Hz: float, dt_s: float) -> ErrorFilter | None:
+    """The filter of the rapid term by the scene's `weights.rapid`; None where the scene has no such term.
+
+    Parameters
+    ----------
+    kind : "highpass", "pacinian" or "none".
+    from_Hz : corner of the high-pass.
+
+    Raises
+    ------
+    InputError : an unknown kind, or a servo rate too low for the filter.
+    """
+    if kind not in RAPID:
+        raise InputError(f"weights.rapid = {kind!r}: unknown; choose {', '.join(RAPID[:-1])} or {RAPID[-1]}")
+    if kind == "none":
+        return None
+    return highpass(from_Hz, dt_s) if kind == "highpass" else pacinian(dt_s)
+
+
+def rapid(by: ErrorFilter, grid: TimeGrid) -> ErrorTerm:
+    """The filtered error with weight 1 for every sample, lost samples and tail included."""
+    return ErrorTerm("rapid", np.ones(grid.stages), 1.0, 1.0, by)

@@ -1,4 +1,4 @@
-"""The penalty on changes of the command, which keeps the problem strictly convex."""
+"""The penalties on the command: its changes, which keep the problem strictly convex, and the heat of its current."""
 
 from dataclasses import dataclass
 
@@ -54,3 +54,26 @@ def _moves(command: FloatArray) -> FloatArray:
     moves = command.copy()
     moves[..., 1:] -= command[..., :-1]
     return moves
+
+
+@dataclass(frozen=True)
+class HeatPrice:
+    """price sum_(k<N) i_k^2, with i_k the plant's input at the switching instants of the window.
+
+    The term is convex. For every price the minimiser of J is also the optimum under the constraint that the heat is
+    at most the minimiser's own.
+
+    Attributes
+    ----------
+    price : >= 0 [1/A^2 or 1/V^2].
+    """
+
+    price: float
+
+    def value(self, plant_input: FloatArray) -> float:
+        """The term at inputs (N,), or the sum over the motors at (m, N)."""
+        return self.price * float(np.vdot(plant_input, plant_input))
+
+    def gradient(self, plant_input: FloatArray) -> FloatArray:
+        """(..., N) of the term by the inputs (..., N)."""
+        return 2 * self.price * plant_input

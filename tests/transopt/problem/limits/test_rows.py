@@ -22,11 +22,9 @@ from transopt.problem.limits import KINDS, kinds_of, limits_of, needed_outputs
 from transopt.problem.limits.command import CommandLimit
 from transopt.problem.limits.current import CurrentLimit
 from transopt.problem.limits.limit import SIDES, Limit, Limits, Setting
-from transopt.problem.limits.output import OutputLimit
+from transopt.problem.limits.output import OutputLimit, StrokeLimit, VelocityLimit
 from transopt.problem.limits.slew import SlewLimit
-from transopt.problem.limits.stroke import StrokeLimit
 from transopt.problem.limits.supply import SupplyLimit
-from transopt.problem.limits.velocity import VelocityLimit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify, reduced_gradient
 from transopt.proof.effect import Effect, boxes

@@ -10,11 +10,8 @@ from scipy import signal
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.plant.time_grid import TimeGrid
-from transopt.problem.objective.error_term import ErrorTerm
-from transopt.problem.objective.heat_price import HeatPrice
-from transopt.problem.objective.movement import Movement
-from transopt.problem.objective.plain import plain
-from transopt.problem.objective.rapid import rapid, rapid_filter
+from transopt.problem.objective.error_term import ErrorTerm, plain, rapid, rapid_filter
+from transopt.problem.objective.movement import HeatPrice, Movement
 from transopt.problem.objective.target import Target
 from transopt.problem.objective.tracking import Tracking, filter_together, gradients
 from transopt.problem.objective.weighting import ErrorFilter, highpass, pacinian
