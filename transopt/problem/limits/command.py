@@ -15,12 +15,9 @@ class CommandLimit(Limit):
     """The range of a current amplifier's command [A], > 0; an ideal amplifier has no such limit."""
 
     name: ClassVar[str] = "command"
-    label: ClassVar[str] = "command"
     unit: ClassVar[str] = "A"
-    step_unit: ClassVar[str] = "A"
     driven_by = CURRENT_INPUT
     implied: ClassVar[bool] = True
-    row_names: ClassVar[tuple[str, ...]] = ("command",)
     in_every_file: ClassVar[bool] = True
     indispensable: ClassVar[bool] = True
     price_step: ClassVar[float] = 1.0
@@ -66,5 +63,4 @@ class VoltageCommandLimit(CommandLimit):
     """The range of a voltage amplifier's command [V], such as the rail of a class-D stage."""
 
     unit: ClassVar[str] = "V"
-    step_unit: ClassVar[str] = "V"
     driven_by = VOLTAGE_INPUT

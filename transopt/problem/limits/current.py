@@ -26,12 +26,9 @@ class CurrentLimit(InputLimit):
     """The limit on the total current [A], > 0, of a current-driven plant."""
 
     name: ClassVar[str] = "current"
-    label: ClassVar[str] = "current"
     unit: ClassVar[str] = "A"
-    step_unit: ClassVar[str] = "A"
     key: ClassVar[str] = "current_A"
     driven_by = CURRENT_INPUT
-    row_names: ClassVar[tuple[str, ...]] = ("current",)
 
 
 @dataclass(frozen=True, repr=False)
@@ -41,12 +38,9 @@ class CoilCurrentLimit(OutputLimit):
     name: ClassVar[str] = "current"
     label: ClassVar[str] = "coil current"
     unit: ClassVar[str] = "A"
-    step_unit: ClassVar[str] = "A"
     key: ClassVar[str] = "current_A"
     driven_by = VOLTAGE_INPUT
-    row_names: ClassVar[tuple[str, ...]] = ("current",)
     needs: ClassVar[tuple[str, ...]] = ("current",)
-    of_each_device: ClassVar[bool] = True
     said_without: ClassVar[str] = "the scene states no limit on the coil's current"
     output: ClassVar[str] = "current"
 
@@ -82,7 +76,6 @@ class FollowingCurrentLimit(Limit):
     name: ClassVar[str] = CoilCurrentLimit.name
     label: ClassVar[str] = CoilCurrentLimit.label
     unit: ClassVar[str] = "A"
-    step_unit: ClassVar[str] = "A"
     key: ClassVar[str] = CoilCurrentLimit.key
     driven_by = VOLTAGE_INPUT
     row_names: ClassVar[tuple[str, ...]] = (*CoilCurrentLimit.row_names, BEFORE)

@@ -91,12 +91,13 @@ class Limit(ABC):
     Attributes
     ----------
     name : identifies the limit in code and in `left_out` of a library.
-    label : its name in reports of what binds.
-    unit : unit of the bounded quantity. step_unit : unit of differences of it.
+    label : its name in reports of what binds; by default `name`.
+    unit : unit of the bounded quantity. step_unit : unit of differences of it; by default `unit`.
     key : scene key below `limits` that states its number; empty where the number is stated elsewhere.
     driven_by : input of the plants it applies to; None for any.
     implied : whether a problem may have it without a number below `limits`.
-    row_names : names of all rows that it can have for one device. sides : the bounds that its rows have.
+    row_names : names of all rows that it can have for one device; by default `name`.
+    sides : the bounds that its rows have.
     needs : outputs that its rows use beyond those of every stage model.
     in_every_file : whether a library stores its multipliers even if the problem does not have the limit.
     after_the_waveform : whether the replay checks it after the waveform too, where a wall may still push.
@@ -130,6 +131,14 @@ class Limit(ABC):
     said_without: ClassVar[str] = ""
 
     __repr__ = brief
+
+    def __init_subclass__(cls) -> None:
+        """Name and unit also serve as label, row and unit of differences of a kind that does not state these."""
+        stated = vars(cls)
+        if "name" in stated:
+            cls.label, cls.row_names = stated.get("label", cls.name), stated.get("row_names", (cls.name,))
+        if "unit" in stated:
+            cls.step_unit = stated.get("step_unit", cls.unit)
 
     @property
     @abstractmethod

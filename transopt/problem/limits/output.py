@@ -52,6 +52,7 @@ class OutputLimit(Limit):
     """
 
     output: ClassVar[str]
+    of_each_device: ClassVar[bool] = True
     grading: ClassVar[int] = 2
 
     limit: float
@@ -260,13 +261,9 @@ class StrokeLimit(OutputLimit):
     """The limit on the displacement z of the motor mass from contact, as the encoder reads it [m]."""
 
     name: ClassVar[str] = "stroke"
-    label: ClassVar[str] = "stroke"
     unit: ClassVar[str] = "m"
-    step_unit: ClassVar[str] = "m"
     key: ClassVar[str] = "stroke_m"
-    row_names: ClassVar[tuple[str, ...]] = ("stroke",)
     needs: ClassVar[tuple[str, ...]] = ("position",)
-    of_each_device: ClassVar[bool] = True
     said_without: ClassVar[str] = "the scene states no stroke limit"
     output: ClassVar[str] = "position"
     grading: ClassVar[int] = 1
@@ -281,13 +278,9 @@ class VelocityLimit(OutputLimit):
     """The limit on the velocity dz/dt of the motor mass [m/s]; it begins at the incoming speed."""
 
     name: ClassVar[str] = "velocity"
-    label: ClassVar[str] = "velocity"
     unit: ClassVar[str] = "m/s"
-    step_unit: ClassVar[str] = "m/s"
     key: ClassVar[str] = "velocity_m_s"
-    row_names: ClassVar[tuple[str, ...]] = ("velocity",)
     needs: ClassVar[tuple[str, ...]] = ("velocity",)
-    of_each_device: ClassVar[bool] = True
     said_without: ClassVar[str] = "the scene states no velocity limit"
     output: ClassVar[str] = "velocity"
 

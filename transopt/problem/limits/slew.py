@@ -15,12 +15,9 @@ class SlewLimit(Limit):
     """The slew limit of a current amplifier's command [A/s], > 0, applied to its step per tick."""
 
     name: ClassVar[str] = "slew"
-    label: ClassVar[str] = "slew"
     unit: ClassVar[str] = "A/tick"
-    step_unit: ClassVar[str] = "A/tick"
     key: ClassVar[str] = "slew_A_per_s"
     driven_by = CURRENT_INPUT
-    row_names: ClassVar[tuple[str, ...]] = ("slew",)
     of_each_motor: ClassVar[bool] = True
     said_without: ClassVar[str] = "the scene states no slew limit"
 
@@ -68,8 +65,7 @@ class VoltageSlewLimit(SlewLimit):
     """The slew limit of a voltage amplifier's command [V/s], > 0."""
 
     name: ClassVar[str] = "voltage_slew"
+    label: ClassVar[str] = SlewLimit.label
     unit: ClassVar[str] = "V/tick"
-    step_unit: ClassVar[str] = "V/tick"
     key: ClassVar[str] = "slew_V_per_s"
     driven_by = VOLTAGE_INPUT
-    row_names: ClassVar[tuple[str, ...]] = ("voltage_slew",)

@@ -71,9 +71,7 @@ class SupplyLimit(Limit):
     """
 
     name: ClassVar[str] = "supply"
-    label: ClassVar[str] = "supply"
     unit: ClassVar[str] = "V"
-    step_unit: ClassVar[str] = "V"
     key: ClassVar[str] = "supply_V"
     row_names: ClassVar[tuple[str, ...]] = tuple(
         f"{end}_{side}" for end in (COLD, HOT) for side in ("before", "after")

@@ -51,7 +51,6 @@ class TemperatureLimit(Limit):
     step_unit: ClassVar[str] = "K"
     key: ClassVar[str] = "temperature_C"
     implied: ClassVar[bool] = True
-    row_names: ClassVar[tuple[str, ...]] = ("temperature",)
     sides: ClassVar[tuple[str, ...]] = ("upper",)
     price_step: ClassVar[float] = 10.0
     asks_for: ClassVar[str] = "the motor whose winding it is"

@@ -27,12 +27,9 @@ class VoltageLimit(InputLimit):
     """The limit on the terminal voltage [V], > 0, of a voltage-driven plant."""
 
     name: ClassVar[str] = "voltage"
-    label: ClassVar[str] = "voltage"
     unit: ClassVar[str] = "V"
-    step_unit: ClassVar[str] = "V"
     key: ClassVar[str] = "voltage_V"
     driven_by = VOLTAGE_INPUT
-    row_names: ClassVar[tuple[str, ...]] = ("voltage",)
 
     @classmethod
     def posed(cls, asked: Mapping[str, Any], setting: Setting) -> Self | None:
