@@ -71,12 +71,16 @@ class Motion:
         def longer(values: FloatArray) -> FloatArray:
             return np.concatenate([values, np.zeros((*values.shape[:-1], stages), dtype=values.dtype)], axis=-1)
 
+        return self._each(longer)
+
+    def _each(self, change: Callable[[FloatArray], FloatArray]) -> "Motion":
+        """The motion with each of its courses changed alike."""
         return Motion(
-            longer(self.acceleration_m_s2),
-            longer(self.plant_input),
-            longer(self.velocity_m_s),
-            longer(self.encoder_m),
-            {name: longer(values) for name, values in self.outputs.items()},
+            change(self.acceleration_m_s2),
+            change(self.plant_input),
+            change(self.velocity_m_s),
+            change(self.encoder_m),
+            {name: change(values) for name, values in self.outputs.items()},
         )
 
     def of_motor(self, motor: int) -> "Motion":
@@ -97,23 +101,11 @@ class Motion:
 
     def of_course(self, course: int) -> "Motion":
         """One of several motions."""
-        return Motion(
-            self.acceleration_m_s2[course],
-            self.plant_input[course],
-            self.velocity_m_s[course],
-            self.encoder_m[course],
-            {name: values[course] for name, values in self.outputs.items()},
-        )
+        return self._each(lambda values: values[course])
 
     def first(self, stages: int) -> "Motion":
         """The first so many instants of the motion."""
-        return Motion(
-            self.acceleration_m_s2[..., :stages],
-            self.plant_input[..., :stages],
-            self.velocity_m_s[..., :stages],
-            self.encoder_m[..., :stages],
-            {name: values[..., :stages] for name, values in self.outputs.items()},
-        )
+        return self._each(lambda values: values[..., :stages])
 
 
 @dataclass(frozen=True)
