@@ -12,7 +12,7 @@ from transopt.base import terminal
 from transopt.cli.identify import app as identify
 from transopt.cli.library import compare, export, show, verify
 from transopt.cli.page import page
-from transopt.cli.plant import app as plant
+from transopt.cli.plant_new import app as plant
 from transopt.cli.scene import app as scene
 from transopt.cli.solve import solve
 from transopt.cli.start import COMMANDS

@@ -1,4 +1,4 @@
-"""`transopt plant new`: a commented scene from the values of a datasheet."""
+"""`transopt plant`, and of its commands `new`: a commented scene from the values of a datasheet."""
 
 import shlex
 from functools import partial
@@ -9,15 +9,27 @@ import typer
 
 from transopt.base import asking, terminal
 from transopt.base.errors import InputError
+from transopt.cli.plant_fit import ACCEPTED, plant_fit, plant_sweep
 from transopt.cli.scene import ACCEPT_HELP, FORCE_HELP, write_new
 
 if TYPE_CHECKING:
     from transopt.scene.datasheet import Datasheet
 
-ACCEPTED = "correct it; if it is right, --accept takes it"
+app = typer.Typer(
+    no_args_is_help=True,
+    help="Actuators: a scene from a datasheet, a state space from a measured response or a recorded sweep.",
+    epilog="Example: transopt plant new lra --resonance-Hz 150 --quality 8 --moving-mass-kg 0.003 --case-mass-kg 0.1 "
+    "--force-factor-N-A 0.8 --R-ohm 8 --rated 2.5 --peak 3",
+)
 
 
+@app.command(
+    "new",
+    epilog="Example: transopt plant new lra --resonance-Hz 150 --quality 8 --moving-mass-kg 0.003 --case-mass-kg 0.1 "
+    "--force-factor-N-A 0.8 --R-ohm 8 --L-H 1e-4 --rated 2.5 --peak 3 --stroke-m 6e-4",
+)
 def plant_new(
+    context: typer.Context,
     name: Annotated[Path, typer.Argument(help="The scene to write: lra writes lra.toml.")],
     kind: Annotated[str, typer.Option(help="inertial (an LRA), voice_coil or shaker.")] = "inertial",
     driven_by: Annotated[str, typer.Option("--input", help="What the driver sets: voltage or current.")] = "voltage",
@@ -84,39 +96,16 @@ def plant_new(
 
     Moving mass, BL, Q, resistance and f0 follow from the rated sine, its rise and brake time, Qes, Qts and stiffness.
     """
-    from transopt.scene.datasheet import KINDS, needed, scene_text
+    from transopt.scene.datasheet import KINDS, Datasheet, needed, scene_text
 
     for option, word, known in (("--kind", kind, KINDS), ("--input", driven_by, ("voltage", "current"))):
         if word not in known:
             raise InputError(f"{option} {word}: unknown; choose {', '.join(known)}")
-    options = {
-        "resonance_Hz": resonance_Hz,
-        "quality": quality,
-        "damping_N_s_m": damping_N_s_m,
-        "moving_mass_kg": moving_mass_kg,
-        "payload_kg": payload_kg,
-        "case_mass_kg": case_mass_kg,
-        "force_factor_N_A": force_factor_N_A,
-        "R_ohm": R_ohm,
-        "L_H": L_H,
-        "rated": rated,
-        "peak": peak,
-        "stroke_m": stroke_m,
-        "frequency_Hz": frequency_Hz,
-        "rate_Hz": rate_Hz,
-    }
-    stated = {"kind": kind, "input": driven_by, **{key: each for key, each in options.items() if each is not None}}
-    further = {
-        "rms_V": rms_V,
-        "rms_A": rms_A,
-        "rms_g": rms_g,
-        "rise_s": rise_s,
-        "brake_s": brake_s,
-        "quality_electrical": quality_electrical,
-        "quality_total": quality_total,
-        "stiffness_N_m": stiffness_N_m,
-    }
-    given = {key: each for key, each in further.items() if each is not None}
+    # The options for numbers are called as the keys of the datasheet, and as those of `transopt.scene.rated`.
+    options = {str(each.name): context.params[str(each.name)] for each in context.command.params}
+    numbers = {name: value for name, value in options.items() if isinstance(value, float)}
+    given = {name: value for name, value in numbers.items() if name not in Datasheet.model_fields}
+    stated = {"kind": kind, "input": driven_by, **{key: numbers[key] for key in numbers if key not in given}}
     _is_odd({**stated, **given}, accept)  # before anything is made of it
     if given:
         stated = _completed(stated, given)
@@ -133,6 +122,12 @@ def plant_new(
     text = scene_text(_sheet(stated), file.stem)
     write_new(file, f'implausible = "accept"\n{text}' if odd else text, force=force)
     typer.echo(f"{file} written; edit its targets, then: transopt solve {shlex.quote(str(file))}")
+
+
+app.command("fit", epilog="Example: transopt plant fit response.csv --order 4 --out plant.npz --input voltage")(
+    plant_fit
+)
+app.command("sweep", epilog="Example: transopt plant sweep sweep.csv --out plant.npz --resonance-Hz 150")(plant_sweep)
 
 
 def _completed(stated: dict[str, Any], further: dict[str, float]) -> dict[str, Any]:

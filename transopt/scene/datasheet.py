@@ -143,13 +143,13 @@ def scene_text(sheet: Datasheet, name: str) -> str:
     ------
     InputError : values that no scene can have.
     """
-    plant = _scene(sheet, name, _text(sheet, 1.0)).plant(0.0)
+    plant = _scene(name, _text(sheet, 1.0)).plant(0.0)
     text = _text(sheet, _peak_m_s2(sheet, plant))
-    _scene(sheet, name, text)
+    _scene(name, text)
     return text
 
 
-def _scene(sheet: Datasheet, name: str, text: str) -> Scene:
+def _scene(name: str, text: str) -> Scene:
     return validated(f"the datasheet of {name}", {**tomllib.loads(text), "name": name})
 
 
