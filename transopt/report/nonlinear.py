@@ -1,59 +1,38 @@
 """Files that `transopt solve` writes for a scene with `[model.nonlinear]`: figures of both designs, and commands."""
 
 import json
-from collections.abc import Callable
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 from transopt.base.files import without_nan
-from transopt.base.terminal import make_folder
-from transopt.base.writing import csv_text, table, write_text
+from transopt.base.writing import csv_text, table
 from transopt.design.build import Build
 from transopt.design.entry import Entry
 from transopt.library.columns import EntryTable, TableRow
 from transopt.library.posed import NONLINEAR_CLAIM
-from transopt.report.write import publish
+from transopt.report.write import LIBRARY, Files, text
 
 REPORT, FIGURES, COMMANDS, DRAWN = "nonlinear.md", "nonlinear.json", "nonlinear.csv", "nonlinear.png"
-LIBRARY = "library.npz"
 
 
-def write_nonlinear(design: Build, folder: str | Path, *, figures: bool = True) -> list[Path]:
-    """Write `library.npz`, `nonlinear.md`, `.json`, `.png` and the proven commands in `nonlinear.csv`, all or none.
-
-    Without a proven entry there is no `nonlinear.csv`; a file of an earlier design that is not written now is
-    removed. A library is written only if every entry is proven; otherwise an earlier one stays.
+def nonlinear_files(design: Build, *, figures: bool = True) -> Files:
+    """The library, `nonlinear.md`, `.json` and `.png`, and the proven commands in `nonlinear.csv`, if any is proven.
 
     Parameters
     ----------
     figures : whether to draw both designs.
-
-    Returns
-    -------
-    Paths of the files written.
-
-    Raises
-    ------
-    InputError : the folder cannot be written.
     """
-    folder = Path(folder)
-    make_folder(folder)
-    files: dict[str, Callable[[Path], object]] = {
-        REPORT: lambda path: write_text(nonlinear_markdown(design), path),
-        FIGURES: lambda path: write_text(nonlinear_json(design), path),
-    }
+    files = {REPORT: text(nonlinear_markdown(design)), FIGURES: text(nonlinear_json(design))}
     if design.library is not None:
         files[LIBRARY] = design.library.save
     if design.proven:
-        files[COMMANDS] = lambda path: write_text(commands_csv(design), path)
+        files[COMMANDS] = text(commands_csv(design))
     if figures:
         from transopt.base.plotting import save_figure
         from transopt.report.figures import nonlinear_figure
 
         files[DRAWN] = lambda path: save_figure(nonlinear_figure(list(design.all_entries())), path, design.scene.name)
-    publish(folder, files, [name for name in (COMMANDS, DRAWN) if name not in files])
-    return [folder / name for name in files]
+    return files
 
 
 def nonlinear_markdown(design: Build) -> str:

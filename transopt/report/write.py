@@ -1,6 +1,6 @@
 """Writes library, report and figures of a build, and moves them into their folder together."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from transopt.base.errors import InputError
@@ -11,7 +11,8 @@ from transopt.design.build import Build
 from transopt.report.markdown import build_markdown
 from transopt.report.report_json import build_json
 
-Files = Mapping[str, Callable[[Path], object]]  # file name -> function that writes this file to a path
+Files = dict[str, Callable[[Path], object]]  # file name -> function that writes this file to a path
+LIBRARY = "library.npz"
 
 # Files of an earlier build that this build may not write again.
 LEFTOVERS = (
@@ -23,6 +24,11 @@ LEFTOVERS = (
     "trade_off.png",
     "grid_error.png",
 )
+
+
+def text(content: str) -> Callable[[Path], object]:
+    """A function that writes a text to a path."""
+    return lambda path: write_text(content, path)
 
 
 def publish(folder: Path, files: Files, stale: Sequence[str] = ()) -> None:
@@ -60,18 +66,14 @@ def files_of(build: Build, *, figures: bool = True, full: bool = False) -> Files
     ----------
     full : whether the report includes what needs further optima of every entry, see `build_markdown`.
     """
-
-    def text(content: str) -> Callable[[Path], object]:
-        return lambda path: write_text(content, path)
-
     library = build.library
     if library is None:
         return {
             "refused.md": text(build_markdown(build, full=full)),
             "refused.json": text(build_json(build, full=full)),
         }
-    files: dict[str, Callable[[Path], object]] = {
-        "library.npz": library.save,
+    files: Files = {
+        LIBRARY: library.save,
         "report.md": text(build_markdown(build, full=full)),
         "report.json": text(build_json(build, full=full)),
     }
@@ -97,8 +99,9 @@ def files_of(build: Build, *, figures: bool = True, full: bool = False) -> Files
 def write_report(build: Build, folder: str | Path, *, figures: bool = True, full: bool = False) -> list[Path]:
     """Write the files of `transopt solve`: `library.npz`, `report.md`, `report.json` and the figures, all or none.
 
-    A scene with `[model.nonlinear]` gives the files of `transopt.report.nonlinear.write_nonlinear`.
-    A build with refused entries gives `refused.md` and `refused.json`, and an earlier library stays.
+    A scene with `[model.nonlinear]` gives the files of `transopt.report.nonlinear.nonlinear_files`. A build with
+    refused entries gives `refused.md` and `refused.json`, and an earlier library stays; a figure or a table of an
+    earlier build that is not written now is removed.
 
     Parameters
     ----------
@@ -113,15 +116,15 @@ def write_report(build: Build, folder: str | Path, *, figures: bool = True, full
     ------
     InputError : the folder cannot be written.
     """
-    if build.scene.nonlinear:
-        # Only a nonlinear plant needs this import.
-        from transopt.report.nonlinear import write_nonlinear
-
-        return write_nonlinear(build, folder, figures=figures)
     folder = Path(folder)
     make_folder(folder)
-    files = files_of(build, figures=figures, full=full)
-    # A refused build writes no library, and keeps the earlier one with all its files.
-    stale = [] if build.library is None else [name for name in LEFTOVERS if name not in files]
-    publish(folder, files, stale)
+    earlier: Sequence[str]
+    if build.scene.nonlinear:
+        from transopt.report import nonlinear  # only a nonlinear plant needs it
+
+        files, earlier = nonlinear.nonlinear_files(build, figures=figures), (nonlinear.COMMANDS, nonlinear.DRAWN)
+    else:
+        # A refused build writes no library, and keeps the earlier one with all its files.
+        files, earlier = files_of(build, figures=figures, full=full), LEFTOVERS if build.library is not None else ()
+    publish(folder, files, [name for name in earlier if name not in files])
     return [folder / name for name in files]
