@@ -101,10 +101,8 @@ def _commands(
     yield INVERTED, np.nan, seed_inversion(problem.stage, problem.grid, target, limits, taper)
     for weight in WEIGHTS:
         designed = optimum(replace(problem, shares=_shares(problem, weight)), options)
-        proof, status = designed.certificate, designed.solution.status
         device = f"normal {place[2]}, posture {place[3]}, tangential weight {weight:g}"
-        violations = [proof.violation(unit) for unit in ("A", "V", "K")]
-        proven.append(Proven(device, *place[:2], status.name, proof.relative_gap, proof.relative_bound, *violations))
+        proven.append(Proven.of(device, place[:2], designed.solution.status, designed.certificate))
         yield OPTIMUM, weight, designed.solution.command
 
 

@@ -37,7 +37,7 @@ class Played:
     excess: float
 
 
-def _errors_at(errors: Errors, scene: Scene, grip: float, speed: float, grips: Sequence[float]) -> list[float]:
+def _errors_at(errors: Errors, grip: float, speed: float, grips: Sequence[float]) -> list[float]:
     """Tap errors at one grip of the transients made for each of `grips`; a wall adds the feedback of this grip."""
     made = [errors.optimum((speed, F)) for F in grips]
     transients = np.stack([each.problem.transient_command(each.solution.command) for each in made])
@@ -67,7 +67,7 @@ def mismatch(
     errors, found = errors_of(scene), []
     for speed in speeds_m_s:
         for grip in grips_N:
-            played = _errors_at(errors, scene, grip, speed, grips_N)
+            played = _errors_at(errors, grip, speed, grips_N)
             own = played[grips_N.index(grip)]
             found += [Played(speed, F, grip, e, e - own) for F, e in zip(grips_N, played, strict=True)]
     return found, proven("default", errors)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from transopt.design.context import Context
 from transopt.design.refine_grid import Errors
+from transopt.problem.answer import Certificate, Status
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 from transopt.solvers.options import SolverOptions
@@ -38,22 +39,16 @@ class Proven:
     violation_V: float
     violation_K: float
 
+    @classmethod
+    def of(cls, device: str, place: tuple[float, float], status: Status, proof: Certificate) -> "Proven":
+        """An optimum at a speed and a grip."""
+        violations = [proof.violation(unit) for unit in ("A", "V", "K")]
+        return cls(device, *place, status.name, proof.relative_gap, proof.relative_bound, *violations)
+
 
 def proven(device: str, errors: Errors) -> list[Proven]:
     """Every optimum solved so far."""
-    return [
-        Proven(
-            device,
-            *point,
-            status.name,
-            proof.relative_gap,
-            proof.relative_bound,
-            proof.violation("A"),
-            proof.violation("V"),
-            proof.violation("K"),
-        )
-        for point, (status, proof) in sorted(errors.proofs.items())
-    ]
+    return [Proven.of(device, point, *proof) for point, proof in sorted(errors.proofs.items())]
 
 
 def proven_sentence(optima: Sequence[Proven]) -> str:
