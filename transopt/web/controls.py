@@ -129,14 +129,14 @@ def _control(scene: Scene, key: Key) -> Control | None:
         about=key.description,
     )
     if choices:
-        return control if any(_takes(scene, key.path, parsed(control, word)) for word in choices) else None
+        return control if any(_takes(scene, key.path, parsed(word)) for word in choices) else None
     if value is None:
         return control if _takes(scene, key.path, control.at(_share(control, start))) else None
     ends = (_end(scene, control, high), _end(scene, control, low))
     return None if ends[0] == ends[1] else replace(control, low=ends[1], high=ends[0])
 
 
-def parsed(control: Control, word: str) -> Value:
+def parsed(word: str) -> Value:
     """The value of a choice's word for the scene; integers are converted."""
     return int(word) if word.isdigit() else word
 

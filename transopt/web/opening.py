@@ -12,6 +12,7 @@ from transopt.files.unclear import Answer, joined
 from transopt.library.columns import COLUMNS, EntryTable
 from transopt.library.library import Library
 from transopt.library.proven import load_proven
+from transopt.report.taps import grid_of
 from transopt.report.tried import Taps, prepared, usable
 from transopt.scene.builtin import load_scene, scene_names, scene_path
 from transopt.scene.file import ADVICE
@@ -55,7 +56,7 @@ def opened(source: Scene | Library | str | Path, recordings: Path | None = None,
 def own_taps(of: Service, folder: Path, files: Sequence[str], reading: Mapping[str, Any]) -> Service:
     """The service of a scene with a user's own taps in place of its recordings.
 
-    The speeds of the files become the grid's; taps within the scene's tolerance of each other share one speed.
+    The grid has the speeds that `transopt taps` finds in the files.
 
     Parameters
     ----------
@@ -81,12 +82,7 @@ def own_taps(of: Service, folder: Path, files: Sequence[str], reading: Mapping[s
         return prepared(with_values(taken, {"recordings": joined(taken.recordings.model_dump(), answer)}).recordings)
 
     taps, settings = usable(read)
-    nodes = list[float]()
-    for tap in sorted(taps, key=lambda tap: tap.speed_m_s):
-        speed = float(f"{tap.speed_m_s:.3g}")
-        if not nodes or abs(nodes[-1] / tap.speed_m_s - 1) > settings.speed_tolerance:
-            nodes.append(speed)
-    speeds = {"grid.speeds_m_s": nodes}
+    speeds = {"grid.speeds_m_s": grid_of(taps, settings).speeds_m_s}
     text = edited(of.source, {"recordings": {**table, "folder": "."}, **speeds}) or ""
     return Service(with_values(taken, speeds), text=text, dropped=True)
 
