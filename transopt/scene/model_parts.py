@@ -132,6 +132,15 @@ class RecordedDevice(ModelPart):
         return float(np.interp(grip_N, [grip for grip, _ in by_grip], [value for _, value in by_grip]))
 
 
+def _check_passive(part: "DriveDevice | _HeldHand") -> None:
+    """Check that a part is passive at every recorded grip."""
+    for grip_N in part.grips_N:
+        try:
+            part.plant(grip_N)
+        except InputError as error:
+            raise ValueError(f"at {grip_N:g} N: {error}") from None
+
+
 class DriveDevice(RecordedDevice, FittedPart):
     """The `drive` chain: device parameters shared by all grips, those of the hand linear in grip.
 
@@ -157,11 +166,7 @@ class DriveDevice(RecordedDevice, FittedPart):
 
     @model_validator(mode="after")
     def _passive(self) -> Self:
-        for grip_N in self.grips_N:
-            try:
-                self.plant(grip_N)
-            except InputError as error:
-                raise ValueError(f"at {grip_N:g} N: {error}") from None
+        _check_passive(self)
         return self
 
     def plant(self, grip_N: float, *, struck: bool = False) -> StateSpace:
@@ -254,11 +259,7 @@ class _HeldHand(FittedPart):
     def _passive(self) -> Self:
         if self.grips_N[0] == 0:
             raise ValueError("grips_N: a hand that does not hold the stylus cannot be identified at 0 N")
-        for grip_N in self.grips_N:
-            try:
-                self.plant(grip_N)
-            except InputError as error:
-                raise ValueError(f"at {grip_N:g} N: {error}") from None
+        _check_passive(self)
         return self
 
     @abstractmethod
