@@ -8,22 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from controller.cli.options import (
-    AnyPort,
-    Crossover,
-    DeviceName,
-    LibraryFile,
-    Mismatch,
-    Reset,
-    Seed,
-    Simulate,
-    TrueDeviceName,
-    imperfect,
-    is_simulated,
-    with_port,
-    with_simulate,
-    within,
-)
+from controller.cli import options
 from controller.cli.port import connected, person_at
 from transopt.base import terminal
 from transopt.base.errors import InputError
@@ -44,10 +29,10 @@ USERS_SEED = 1
 
 def calibrate(
     context: typer.Context,
-    library: LibraryFile,
+    library: options.LibraryFile,
     out: Annotated[Path, typer.Option(help="Folder for the hand's model.json and library.npz.")],
-    simulate: Simulate = False,
-    port: AnyPort = None,
+    simulate: options.Simulate = False,
+    port: options.AnyPort = None,
     population: Annotated[
         Path | None, typer.Option(help="Population of hands, a .toml file; default the built-in stylus_grip.")
     ] = None,
@@ -58,26 +43,28 @@ def calibrate(
             help="Track the taps as they were recorded, not what the object would do in the new hand.",
         ),
     ] = False,
-    device: DeviceName = None,
+    device: options.DeviceName = None,
     user: Annotated[
         int,
-        with_simulate("Whose hand it is: number 1 to 20 of the population; 0 for the hand of the true device."),
+        options.with_simulate(
+            "Whose hand it is: number 1 to 20 of the population; 0 for the hand of the true device."
+        ),
     ] = 1,
-    scene: TrueDeviceName = None,
-    mismatch: Mismatch = 0.0,
-    seed: Seed = 0,
-    crossover: Crossover = 0.01,
-    seconds: Annotated[float | None, with_port("End the taps after so many seconds.", "--for")] = None,
-    reset: Reset = False,
+    scene: options.TrueDeviceName = None,
+    mismatch: options.Mismatch = 0.0,
+    seed: options.Seed = 0,
+    crossover: options.Crossover = 0.01,
+    seconds: Annotated[float | None, options.with_port("End the taps after so many seconds.", "--for")] = None,
+    reset: options.Reset = False,
 ) -> None:
     """Find a new user's hand from three taps on the device, solve its library, and play it beside the old one.
 
     Exit 1: the new library is worse than the one that was played, an entry of it is refused, or a fault or a lost
     lease ended the taps.
     """
-    simulated = is_simulated(context, "calibrate", simulate, port)
-    within("user", user, 0, USERS)
-    within("for", seconds, 1.0, 1e6, " s")
+    simulated = options.is_simulated(context, "calibrate", simulate, port)
+    options.within("user", user, 0, USERS)
+    options.within("for", seconds, 1.0, 1e6, " s")
     from controller.host.payload import load_playable
     from transopt.scene import builtin
     from transopt.scene.population import load_population
@@ -96,7 +83,7 @@ def calibrate(
             "in the device file (--device)"
         )
     drive_of(loaded.scene())
-    wrong = imperfect(found.device, mismatch, seed, crossover)
+    wrong = options.imperfect(found.device, mismatch, seed, crossover)
     terminal.make_folder(out)
     if simulated:
         from controller.cli.refine_taps import simulated_at

@@ -9,29 +9,7 @@ from typing import Annotated
 
 import typer
 
-from controller.cli.options import (
-    DEFAULT_SCENE,
-    ON_THE_SIMULATOR,
-    AnyPort,
-    Crossover,
-    DeviceName,
-    Gain,
-    Mismatch,
-    Reset,
-    Seconds,
-    Seed,
-    Simulate,
-    TapCount,
-    TrueDeviceName,
-    imperfect,
-    is_simulated,
-    numbers,
-    of_scene,
-    one_of,
-    with_port,
-    with_simulate,
-    within,
-)
+from controller.cli import options
 from transopt.base import terminal
 from transopt.base.errors import InputError
 
@@ -54,8 +32,8 @@ def record() -> None:
 def record_sweep(
     context: typer.Context,
     out: Annotated[Path, typer.Option(help="Folder for the trials; none is written over.")],
-    simulate: Simulate = False,
-    port: AnyPort = None,
+    simulate: options.Simulate = False,
+    port: options.AnyPort = None,
     purpose: Annotated[str, typer.Option("--for", help="What it identifies: device or amplifier.")] = "device",
     grips: Annotated[
         str | None,
@@ -77,17 +55,17 @@ def record_sweep(
             help="Peak in A of taps at each grip besides, and of a multisine at half of it: identify judges by them."
         ),
     ] = None,
-    gain: Gain = None,
+    gain: options.Gain = None,
     patience: Annotated[float, typer.Option(help="How long to wait for the hand, in s.")] = 60.0,
     library: Annotated[
-        Path | None, with_port("Whose limits, amplifier and coil hold; else the built-in ones.")
+        Path | None, options.with_port("Whose limits, amplifier and coil hold; else the built-in ones.")
     ] = None,
-    device: DeviceName = None,
-    reset: Reset = False,
-    scene: TrueDeviceName = None,
-    mismatch: Mismatch = 0.0,
-    seed: Seed = 0,
-    crossover: Crossover = 0.01,
+    device: options.DeviceName = None,
+    reset: options.Reset = False,
+    scene: options.TrueDeviceName = None,
+    mismatch: options.Mismatch = 0.0,
+    seed: options.Seed = 0,
+    crossover: options.Crossover = 0.01,
 ) -> None:
     """Swept sines on a stylus held still: one NPZ per trial, which `transopt identify amplifier|device` reads.
 
@@ -95,11 +73,11 @@ def record_sweep(
     """
     from controller.record.sweep_plan import Purpose, sweep_plan
 
-    simulated = is_simulated(context, "record sweep", simulate, port)
-    one_of("for", purpose, (choice.value for choice in Purpose))
+    simulated = options.is_simulated(context, "record sweep", simulate, port)
+    options.one_of("for", purpose, (choice.value for choice in Purpose))
     planned = sweep_plan(
         Purpose(purpose),
-        numbers("grips", grips, 0.0, 50.0, " N, what a hand does"),
+        options.numbers("grips", grips, 0.0, 50.0, " N, what a hand does"),
         trials,
         low_Hz=low,
         high_Hz=high,
@@ -109,15 +87,15 @@ def record_sweep(
         tap_A=tap_current,
     )
     if tap_current is not None:
-        within("tap-current", tap_current, 0.01, 100.0, " A")
-    within("patience", patience, 0.1, 3600.0, " s")
-    within("gain", gain, 1e-3, 1.0)
+        options.within("tap-current", tap_current, 0.01, 100.0, " A")
+    options.within("patience", patience, 0.1, 3600.0, " s")
+    options.within("gain", gain, 1e-3, 1.0)
     from controller.cli.describe import described
     from controller.cli.record_sweeps import Series, record_sweeps, simulated_series
 
     found = described(device, library, quiet=simulated)
     if simulated:
-        wrong = imperfect(found.device, mismatch, seed, crossover)
+        wrong = options.imperfect(found.device, mismatch, seed, crossover)
         bench, series = simulated_series(out, planned, scene, wrong, seed, gain, patience, found.device)
         record_sweeps(bench, series)
         return
@@ -131,7 +109,7 @@ def record_sweep(
         # One series, however the stylus is held.
         planned = [trial for trial in planned if trial.grip_N == planned[-1].grip_N]
     for grip in {trial.grip_N for trial in planned} - {0.0}:
-        within("grips", grip, 0.5, 50.0, " N, or 0 to let go")
+        options.within("grips", grip, 0.5, 50.0, " N, or 0 to let go")
     series = Series(
         planned,
         free_numbers(out, len(planned)),
@@ -155,41 +133,42 @@ def record_tap(
     library: Annotated[
         Path | None,
         typer.Argument(
-            help="library.npz whose taps are played.", show_default=False, rich_help_panel=ON_THE_SIMULATOR
+            help="library.npz whose taps are played.", show_default=False, rich_help_panel=options.ON_THE_SIMULATOR
         ),
     ] = None,
-    port: AnyPort = None,
-    simulate: Simulate = False,
+    port: options.AnyPort = None,
+    simulate: options.Simulate = False,
     trigger: Annotated[
         float, typer.Option(help="Acceleration in g that is taken for a contact with a real object.")
     ] = 1.0,
-    taps: TapCount = None,
-    seconds: Seconds = None,
-    device: DeviceName = None,
+    taps: options.TapCount = None,
+    seconds: options.Seconds = None,
+    device: options.DeviceName = None,
     real_object: Annotated[
-        bool, with_simulate("The undriven device on the scene's object, with force_N.", "--object")
+        bool, options.with_simulate("The undriven device on the scene's object, with force_N.", "--object")
     ] = False,
-    speeds: Annotated[str | None, with_simulate("Speeds in m/s, like 0.15,0.25; default the grid's.")] = None,
+    speeds: Annotated[str | None, options.with_simulate("Speeds in m/s, like 0.15,0.25; default the grid's.")] = None,
     grips: Annotated[
-        str | None, with_simulate("Grips in N, like 1,3,5; default the library's, or the one of the scene's taps.")
+        str | None,
+        options.with_simulate("Grips in N, like 1,3,5; default the library's or that of the scene's taps."),
     ] = None,
     repeats: Annotated[
-        int, with_simulate("Taps at each speed and grip; `transopt identify hand` wants 12 or more in all.")
+        int, options.with_simulate("Taps at each speed and grip; `transopt identify hand` wants 12 or more in all.")
     ] = 1,
-    force_noise: Annotated[float, with_simulate("Rms of the force sensor, in N.")] = 0.02,
-    scene: TrueDeviceName = None,
-    mismatch: Mismatch = 0.0,
-    seed: Seed = 0,
-    crossover: Crossover = 0.01,
+    force_noise: Annotated[float, options.with_simulate("Rms of the force sensor, in N.")] = 0.02,
+    scene: options.TrueDeviceName = None,
+    mismatch: options.Mismatch = 0.0,
+    seed: options.Seed = 0,
+    crossover: options.Crossover = 0.01,
 ) -> None:
     """Record taps: on a real object, device idle, or simulated those of a library.
 
     Exit 1: a fault or a lost lease, or no tap was heard.
     """
-    within("trigger", trigger, 0.05, 100.0, " g")
-    within("taps", taps, 1, 1_000_000)
-    within("for", seconds, 0.0, 1e9, " s")
-    if not is_simulated(context, "record tap", simulate, port):
+    options.within("trigger", trigger, 0.05, 100.0, " g")
+    options.within("taps", taps, 1, 1_000_000)
+    options.within("for", seconds, 0.0, 1e9, " s")
+    if not options.is_simulated(context, "record tap", simulate, port):
         from controller.cli.describe import described
         from controller.cli.port import person_at
         from controller.cli.record_taps import taps_by_a_person
@@ -204,15 +183,15 @@ def record_tap(
     from controller.cli.describe import described
     from controller.cli.record_taps import Wanted, taps_of_library, taps_on_object
 
-    within("repeats", repeats, 1, 1000)
-    within("force-noise", force_noise, 0.0, 10.0, " N")
-    chosen_grips = numbers("grips", grips, 0.0, 50.0, " N, what a hand does")
-    chosen_speeds = numbers("speeds", speeds, 0.03, 4.5, " m/s, what the servo takes for a tap")
+    options.within("repeats", repeats, 1, 1000)
+    options.within("force-noise", force_noise, 0.0, 10.0, " N")
+    chosen_grips = options.numbers("grips", grips, 0.0, 50.0, " N, what a hand does")
+    chosen_speeds = options.numbers("speeds", speeds, 0.03, 4.5, " m/s, what the servo takes for a tap")
     found = described(device, library, quiet=True)
-    wrong = imperfect(found.device, mismatch, seed, crossover)
+    wrong = options.imperfect(found.device, mismatch, seed, crossover)
     wanted = Wanted(out, chosen_speeds, chosen_grips, repeats, wrong, seed, found.device)
     if library is None:
-        taps_on_object(wanted, scene or DEFAULT_SCENE, trigger, force_noise)
+        taps_on_object(wanted, scene or options.DEFAULT_SCENE, trigger, force_noise)
     else:
         taps_of_library(wanted, library, scene)
 
@@ -222,7 +201,7 @@ def record_heat(
     out: Annotated[
         Path | None, typer.Option(help="Folder for the recording; must hold none yet. Needed with --simulate.")
     ] = None,
-    simulate: Simulate = False,
+    simulate: options.Simulate = False,
     port: Annotated[str | None, typer.Option(help="Says how a device's heating is recorded.")] = None,
     current: Annotated[
         float | None, typer.Option(help="While heating, in A; default 0.9 of the continuous current.")
@@ -231,11 +210,11 @@ def record_heat(
     cooling: Annotated[float, typer.Option(help="How long the coil then cools, in s.")] = 1800.0,
     every: Annotated[float, typer.Option(help="Between two readings, in s.")] = 1.0,
     noise: Annotated[float, typer.Option(help="Rms of the temperatures, in K.")] = 0.5,
-    scene: TrueDeviceName = None,
+    scene: options.TrueDeviceName = None,
     mismatch: Annotated[
         float, typer.Option(help="Thermal resistances and time constants are off by up to this part.")
     ] = 0.0,
-    seed: Seed = 0,
+    seed: options.Seed = 0,
 ) -> None:
     """Heating and cooling of the coil: heat.npz with current, winding and housing for `transopt identify coil`."""
     if not simulate:
@@ -248,18 +227,18 @@ def record_heat(
     if port is not None or out is None:
         raise InputError("record heat: give --simulate and --out DIR, and no --port")
     for name, value in (("heating", heating), ("cooling", cooling)):
-        within(name, value, 0.0, MOST_HEAT_S, " s")
-    within("every", every, 0.01, 60.0, " s")
-    within("noise", noise, 0.0, 50.0, " K")
-    within("mismatch", mismatch, 0.0, 0.5, ", the part by which parameters are off")
-    within("seed", seed, 0, 2**63 - 1)
+        options.within(name, value, 0.0, MOST_HEAT_S, " s")
+    options.within("every", every, 0.01, 60.0, " s")
+    options.within("noise", noise, 0.0, 50.0, " K")
+    options.within("mismatch", mismatch, 0.0, 0.5, ", the part by which parameters are off")
+    options.within("seed", seed, 0, 2**63 - 1)
     if heating + cooling < 10 * every:
         raise InputError(f"--heating {heating:g}, --cooling {cooling:g}: fewer than ten readings; record longer")
     from controller.record.trial_file import refuse_old, write_measurement
     from controller.sim.heating import heat_record, true_coil
     from controller.sim.simulator import scene_like
 
-    truth = scene_like(scene or DEFAULT_SCENE)
+    truth = scene_like(scene or options.DEFAULT_SCENE)
     coil, limits = truth.coil(), truth.limits
     if coil is None:
         raise InputError(
@@ -267,7 +246,7 @@ def record_heat(
         )
     continuous = min(limits.steady_input, coil.continuous_current_A() - coil.ripple_A)  # the ripple heats beside it
     amount = 0.9 * continuous if current is None else current
-    within("current", amount, 0.0, limits.transient_input, " A")
+    options.within("current", amount, 0.0, limits.transient_input, " A")
     terminal.make_folder(out)
     refuse_old(out, ["heat.npz"])
     coil = true_coil(coil, mismatch, seed)
@@ -276,5 +255,5 @@ def record_heat(
     terminal.console().print(
         f"{out}: heat.npz, {heating:g} s at {amount:g} A and {cooling:g} s of cooling, winding at most "
         f"{columns['winding_C'].max():.1f} °C\n"
-        f"next: transopt identify coil {shlex.quote(f'{out}/heat.npz')}{of_scene(scene)} --out MODEL.json"
+        f"next: transopt identify coil {shlex.quote(f'{out}/heat.npz')}{options.of_scene(scene)} --out MODEL.json"
     )

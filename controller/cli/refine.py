@@ -11,23 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from controller.cli.options import (
-    ON_A_PORT,
-    ON_THE_SIMULATOR,
-    AnyPort,
-    Crossover,
-    DeviceName,
-    LibraryFile,
-    Mismatch,
-    Reset,
-    Seed,
-    Simulate,
-    TrueDeviceName,
-    imperfect,
-    is_simulated,
-    with_port,
-    within,
-)
+from controller.cli import options
 from controller.cli.port import STOPPED, connected, person_at
 from transopt.base import terminal
 from transopt.base.errors import InputError
@@ -55,7 +39,7 @@ def only_for_files(context: typer.Context, from_files: bool, names_device: bool)
     """
     if from_files and names_device:
         raise InputError("--from-files: the taps are in files: leave --simulate and --port out")
-    panels = (ON_A_PORT, ON_THE_SIMULATOR) if from_files else (WITH_FILES,)
+    panels = (options.ON_A_PORT, options.ON_THE_SIMULATOR) if from_files else (WITH_FILES,)
     why = "not with --from-files" if from_files else "only with --from-files"
     for parameter in context.command.params:
         source = context.get_parameter_source(parameter.name or "")
@@ -68,11 +52,11 @@ def only_for_files(context: typer.Context, from_files: bool, names_device: bool)
 
 def refine(
     context: typer.Context,
-    library: LibraryFile,
+    library: options.LibraryFile,
     out: Annotated[Path, typer.Option(help="Folder for the refined library.npz and refinement.png.")],
     files: Annotated[list[Path] | None, typer.Argument(help="Recorded taps; needs --from-files.")] = None,
-    simulate: Simulate = False,
-    port: AnyPort = None,
+    simulate: options.Simulate = False,
+    port: options.AnyPort = None,
     from_files: Annotated[
         bool,
         typer.Option(
@@ -83,15 +67,15 @@ def refine(
     columns: Annotated[str, with_files(COLUMNS_HELP)] = "",
     units: Annotated[str, with_files(UNITS_HELP)] = "",
     rate_Hz: Annotated[float | None, with_files(RATE_HELP, "--rate-Hz")] = None,
-    device: DeviceName = None,
+    device: options.DeviceName = None,
     rounds: Annotated[int, typer.Option(help="How often is learnt and solved again, at most.")] = 6,
     taps: Annotated[int, typer.Option(help="Taps at each speed and grip in each round; their mean counts.")] = 3,
-    scene: TrueDeviceName = None,
-    mismatch: Mismatch = 0.0,
-    seed: Seed = 0,
-    crossover: Crossover = 0.01,
-    seconds: Annotated[float | None, with_port("End a round's taps after so many seconds.", "--for")] = None,
-    reset: Reset = False,
+    scene: options.TrueDeviceName = None,
+    mismatch: options.Mismatch = 0.0,
+    seed: options.Seed = 0,
+    crossover: options.Crossover = 0.01,
+    seconds: Annotated[float | None, options.with_port("End a round's taps after so many seconds.", "--for")] = None,
+    reset: options.Reset = False,
 ) -> None:
     """Refine a library on its device: learn what stands out of repeated taps until nothing does, and confirm it.
 
@@ -100,11 +84,11 @@ def refine(
     if not (simulate or from_files or port is not None):
         ports = "--port PORT (`transopt-play ports` lists them)"
         raise InputError(f"refine: name one device: --simulate, or {ports}; or --from-files and recorded taps")
-    simulated = False if from_files else is_simulated(context, "refine", simulate, port)
+    simulated = False if from_files else options.is_simulated(context, "refine", simulate, port)
     only_for_files(context, from_files, simulate or port is not None)
-    within("rounds", rounds, 1, 20)
-    within("taps", taps, 2, 100)
-    within("for", seconds, 1.0, 1e6, " s")
+    options.within("rounds", rounds, 1, 20)
+    options.within("taps", taps, 2, 100)
+    options.within("for", seconds, 1.0, 1e6, " s")
     from controller.host.payload import load_playable
 
     loaded = load_playable(library)
@@ -119,7 +103,7 @@ def refine(
     from controller.cli.describe import described
 
     found = described(device, library, quiet=simulated)
-    wrong = imperfect(found.device, mismatch, seed, crossover)
+    wrong = options.imperfect(found.device, mismatch, seed, crossover)
     terminal.make_folder(out)
     accelerometer_Hz = found.device.accelerometer.bandwidth_Hz
     if from_files:

@@ -8,26 +8,8 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
+from controller.cli import options
 from controller.cli import port as sessions
-from controller.cli.options import (
-    AnyPort,
-    Crossover,
-    DeviceName,
-    Gain,
-    LibraryFile,
-    Mismatch,
-    Reset,
-    Seconds,
-    Seed,
-    Simulate,
-    TapCount,
-    TrueDeviceName,
-    imperfect,
-    is_simulated,
-    one_of,
-    with_simulate,
-    within,
-)
 from transopt.base import terminal
 from transopt.base.errors import InputError
 
@@ -46,46 +28,48 @@ RECORDED = "recorded"  # the simulated user whose hand does what that of the rec
 
 def tap(
     context: typer.Context,
-    library: LibraryFile,
-    simulate: Simulate = False,
-    port: AnyPort = None,
-    gain: Gain = None,
+    library: options.LibraryFile,
+    simulate: options.Simulate = False,
+    port: options.AnyPort = None,
+    gain: options.Gain = None,
     out: Annotated[Path | None, typer.Option(help="Folder for figure and telemetry.")] = None,
-    speed: Annotated[float | None, with_simulate("Incoming speed in m/s; default the grid's middle.")] = None,
-    grip: Annotated[float | None, with_simulate("Grip in N; default the grid's middle.")] = None,
+    speed: Annotated[float | None, options.with_simulate("Incoming speed in m/s; default the grid's middle.")] = None,
+    grip: Annotated[float | None, options.with_simulate("Grip in N; default the grid's middle.")] = None,
     method: Annotated[
         str,
-        with_simulate(
+        options.with_simulate(
             "How taps are rendered: bilinear, online (solved anew for each tap), nearest, blind, proportional, "
             "decaying-sinusoid, fixed-width-pulse, momentum-cancellation, seed-inversion, clipped-optimum."
         ),
     ] = "bilinear",
-    user: Annotated[str, with_simulate("recorded, straight, brakes, stops, decays or pulls.")] = RECORDED,
-    real_time: Annotated[bool, with_simulate("Paced by the clock, to watch telemetry.", "--real-time")] = False,
-    device: DeviceName = None,
-    true_device: TrueDeviceName = None,
-    mismatch: Mismatch = 0.0,
-    seed: Seed = 0,
-    crossover: Crossover = 0.01,
-    taps: TapCount = None,
-    seconds: Seconds = None,
-    reset: Reset = False,
+    user: Annotated[str, options.with_simulate("recorded, straight, brakes, stops, decays or pulls.")] = RECORDED,
+    real_time: Annotated[
+        bool, options.with_simulate("Paced by the clock, to watch telemetry.", "--real-time")
+    ] = False,
+    device: options.DeviceName = None,
+    true_device: options.TrueDeviceName = None,
+    mismatch: options.Mismatch = 0.0,
+    seed: options.Seed = 0,
+    crossover: options.Crossover = 0.01,
+    taps: options.TapCount = None,
+    seconds: options.Seconds = None,
+    reset: options.Reset = False,
 ) -> None:
     """Play taps and say how well: latency, error, peak, spectrum, hardness, current, temperature.
 
     Exit 1: a fault, a lost lease, or no tap that was played to its end.
     """
-    simulated = is_simulated(context, "tap", simulate, port)
-    within("gain", gain, 0.0, 1.0)
-    within("taps", taps, 1, 1_000_000)
-    within("for", seconds, 0.0, 1e9, " s")
+    simulated = options.is_simulated(context, "tap", simulate, port)
+    options.within("gain", gain, 0.0, 1.0)
+    options.within("taps", taps, 1, 1_000_000)
+    options.within("for", seconds, 0.0, 1e9, " s")
     from controller.cli.describe import described
     from controller.host.payload import payload
     from controller.record.recorder import make_room
 
     found = described(device, library, quiet=simulated)
     if simulated:
-        wrong, full = imperfect(found.device, mismatch, seed, crossover), 1.0 if gain is None else gain
+        wrong, full = options.imperfect(found.device, mismatch, seed, crossover), 1.0 if gain is None else gain
         given, bench, title = _simulated(
             library, found, speed, grip, full, method, seed, wrong, true_device, user, real_time
         )
@@ -127,8 +111,8 @@ def _simulated(
     from controller.waveforms.bank import Method, bank, solved_for
     from transopt.plant.intention import YIELDINGS
 
-    one_of("method", method, (choice.value for choice in Method))
-    one_of("user", user, (RECORDED, *YIELDINGS))
+    options.one_of("method", method, (choice.value for choice in Method))
+    options.one_of("user", user, (RECORDED, *YIELDINGS))
     library = load_playable(path)
     speed_m_s, grip_N = _middle(library, speed, grip)
     table = bank(library, Method(method))
@@ -141,8 +125,8 @@ def _simulated(
         amplifier_tolerance=wrong.mismatch,
     )
     settings = given.settings
-    within("speed", speed_m_s, 0.03, 0.9 * settings.fastest_m_s, " m/s, what the servo takes for a tap")
-    within("grip", grip_N, 0.0, 50.0, " N, what a hand does")
+    options.within("speed", speed_m_s, 0.03, 0.9 * settings.fastest_m_s, " m/s, what the servo takes for a tap")
+    options.within("grip", grip_N, 0.0, 50.0, " N, what a hand does")
     if settings.assumed_grip_N == 0 and grip_N > 0:
         raise InputError(f"--grip {grip_N:g}: this library is of the free device, which nobody holds: give --grip 0")
     if method == Method.PROPORTIONAL.value and settings.wall is None:

@@ -5,16 +5,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import NamedTuple
 
-from controller.record.excitation import (
-    FADE_S,
-    PERIOD_S,
-    PERIODS,
-    TAP_S,
-    multisine_command,
-    multisine_period_s,
-    sweep_command,
-    tap_command,
-)
+from controller.record import excitation
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 
@@ -86,15 +77,17 @@ class PlannedSweep:
         InputError : see `excitation`.
         """
         if self.shape is Shape.TAP:
-            return self.polarity * tap_command(self.amplitude_A, dt_s)
+            return self.polarity * excitation.tap_command(self.amplitude_A, dt_s)
         if self.shape is Shape.MULTISINE:
-            return self.polarity * multisine_command(self.amplitude_A, dt_s)
-        sweep = sweep_command(self.low_Hz, self.high_Hz, self.seconds, self.amplitude_A, dt_s, self.offset_A)
+            return self.polarity * excitation.multisine_command(self.amplitude_A, dt_s)
+        sweep = excitation.sweep_command(
+            self.low_Hz, self.high_Hz, self.seconds, self.amplitude_A, dt_s, self.offset_A
+        )
         return self.polarity * sweep
 
     def period_s(self, dt_s: float) -> float | None:
         """Period of the excitation; None for one that does not repeat."""
-        return multisine_period_s(dt_s) if self.shape is Shape.MULTISINE else None
+        return excitation.multisine_period_s(dt_s) if self.shape is Shape.MULTISINE else None
 
     @property
     def file_name(self) -> str:
@@ -157,9 +150,9 @@ def sweep_plan(
                 )
                 planned.append(trial)
         if tap_A is not None:
-            tap = replace(planned[-1], amplitude_A=tap_A, offset_A=0.0, seconds=TAP_S, shape=Shape.TAP)
+            tap = replace(planned[-1], amplitude_A=tap_A, offset_A=0.0, seconds=excitation.TAP_S, shape=Shape.TAP)
             planned += [replace(tap, number=number, polarity=sign) for number, sign in ((1, 1), (2, -1))]
-            lasting = PERIODS * PERIOD_S + FADE_S
+            lasting = excitation.PERIODS * excitation.PERIOD_S + excitation.FADE_S
             repeated = replace(tap, amplitude_A=REPEATED * tap_A, seconds=lasting, shape=Shape.MULTISINE)
             planned.append(replace(repeated, number=1, polarity=1))
     return planned

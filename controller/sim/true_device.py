@@ -13,18 +13,13 @@ from controller.servo.settings import AMPLIFIER, RE_25
 from transopt.base.errors import InputError
 from transopt.base.matrices import exponential
 from transopt.base.signals import FloatArray
+from transopt.plant import second_order
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.bridge import Bridge
 from transopt.plant.coil import CoilModel
 from transopt.plant.drive import Drive
 from transopt.plant.fourth_order import FourthOrder
 from transopt.plant.hand import HandSection, LinearInGrip
-from transopt.plant.second_order import (
-    SEED_HAND_DAMPING_N_S_M,
-    SEED_HAND_MASS_KG,
-    SEED_HAND_STIFFNESS_N_M,
-    SecondOrder,
-)
 from transopt.recordings.settings import SimulatedTaps
 from transopt.scene.identified import IdentifiedModel
 from transopt.scene.model_parts import ChainHand, DriveDevice, FourthOrderHand, SecondOrderHand, StateSpaceDevice
@@ -149,7 +144,9 @@ def device_of(scene: Scene) -> TrueDevice:
             f"{scene.name}: its device is an identified state space, which has no masses to move: simulate "
             "another device (--true-device SCENE.toml or library.npz)"
         )
-    if not isinstance(model, SecondOrder | SecondOrderHand | FourthOrder | FourthOrderHand | Drive | DriveDevice):
+    if not isinstance(
+        model, second_order.SecondOrder | SecondOrderHand | FourthOrder | FourthOrderHand | Drive | DriveDevice
+    ):
         raise InputError(
             f"{scene.name}: no hand holds its actuator, so that nobody taps with it: simulate another device "
             "(--true-device SCENE.toml or library.npz)"
@@ -164,9 +161,9 @@ def device_of(scene: Scene) -> TrueDevice:
     masses: tuple[LinearInGrip, ...]
     joints: tuple[Joint, ...]
     match model:
-        case SecondOrder():
-            masses, stylus, skin = (SEED_HAND_MASS_KG,), 0, None
-            joints = (Joint(SEED_HAND_STIFFNESS_N_M, SEED_HAND_DAMPING_N_S_M),)
+        case second_order.SecondOrder():
+            masses, stylus, skin = (second_order.SEED_HAND_MASS_KG,), 0, None
+            joints = (Joint(second_order.SEED_HAND_STIFFNESS_N_M, second_order.SEED_HAND_DAMPING_N_S_M),)
         case SecondOrderHand(mass_kg=whole, stiffness_N_m=stiffness, damping_N_s_m=damping):
             masses, stylus, skin = (whole.linear(),), 0, None
             joints = (Joint(stiffness.linear(), damping.linear()),)

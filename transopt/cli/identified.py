@@ -49,13 +49,9 @@ def progress() -> Iterator[Callable[[str], None]]:
 
 
 def tell(*lines: "str | Table", style: str | None = None) -> None:
-    """Print lines and tables as they are, however narrow the terminal."""
-    console = terminal.console()
+    """Print lines in a style, and tables."""
     for line in lines:
-        if isinstance(line, str):
-            console.print(line, style=style)
-        else:
-            console.print(line)
+        terminal.console().print(line, style=style if isinstance(line, str) else None)
 
 
 def draw(out: Path, name: "ModelPartName", figure: "Figure") -> Path:

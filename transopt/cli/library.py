@@ -127,28 +127,22 @@ def compare(
 ) -> None:
     """Compare two libraries: entries, their figures from A to B, and what was stated differently."""
     from transopt.library.file import load_library
-    from transopt.report.comparison import (
-        Comparison,
-        change_table,
-        comparison_markdown,
-        comparison_summary,
-        entry_table,
-    )
+    from transopt.report import comparison
 
     if out is not None and out.suffix.lower() != ".md":
         raise InputError(f"--out {out}: a comparison is written as .md")
-    found = Comparison.of(load_library(first), load_library(second))
+    found = comparison.Comparison.of(load_library(first), load_library(second))
     names = f"A: {first}, B: {second}"
     console = terminal.console()
-    console.print(entry_table(found, names))
+    console.print(comparison.entry_table(found, names))
     if found.changes:
-        console.print(change_table(found))
+        console.print(comparison.change_table(found))
     if out is not None:
         from transopt.base.writing import write_text
 
-        write_text(comparison_markdown(found, names), out)
+        write_text(comparison.comparison_markdown(found, names), out)
         console.print(f"{out} written")
-    console.print(comparison_summary(found))
+    console.print(comparison.comparison_summary(found))
 
 
 def export(

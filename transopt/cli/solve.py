@@ -192,17 +192,9 @@ def _build(wanted: Wanted) -> "tuple[Build, list[str]]":
 
 def _print(console: "Console", build: "Build", wanted: Wanted, names: "list[str]", unfit: str) -> None:
     """A first look, what deserves a second one, what was refused and why, and how to go on."""
+    from transopt.report import tables
     from transopt.report.first import Look, lines, next_commands
     from transopt.report.identified import model_warning, moving_target, uncovered_line
-    from transopt.report.tables import (
-        certificate_table,
-        cool_summary,
-        entry_table,
-        refinement_summary,
-        refused_lines,
-        summary,
-        warnings,
-    )
     from transopt.report.taps import implausible_lines
 
     def line(text: str, style: str | None = None) -> None:
@@ -210,29 +202,29 @@ def _print(console: "Console", build: "Build", wanted: Wanted, names: "list[str]
 
     if wanted.table:
         described = ": ".join(filter(None, (build.scene.name, build.scene.description)))
-        table, meaning = entry_table(build, described)
+        table, meaning = tables.entry_table(build, described)
         console.print(table)
         line(meaning, "dim")
     if wanted.report:
-        console.print(certificate_table(build, build.scene.name))
-        line(summary(build))
+        console.print(tables.certificate_table(build, build.scene.name))
+        line(tables.summary(build))
     for text, colour in lines(build, Look.of_build(build), console.width):
         line(text, colour)
-    if build.library is not None and (text := cool_summary(build.library)):
+    if build.library is not None and (text := tables.cool_summary(build.library)):
         line(text)
     doubtful = {tap.recording.name for reference in build.references for tap in reference.taps if tap.notes}
     if doubtful:
         line(f"recordings with notes, see the report: {len(doubtful)}", "yellow")
     for warning in (
         *build.recorded_remarks,
-        *warnings(build),
+        *tables.warnings(build),
         *filter(None, [model_warning(build), uncovered_line(build), moving_target(build.scene)]),
     ):
         line(warning, "yellow")
-    for refused in refused_lines(build):
+    for refused in tables.refused_lines(build):
         line(refused, "red")
     if build.refinement is not None:
-        line(refinement_summary(build.refinement), "red" if build.refinement.shortfall else None)
+        line(tables.refinement_summary(build.refinement), "red" if build.refinement.shortfall else None)
     for text in implausible_lines([tap for reference in build.references for tap in reference.taps]):
         line(f'{text} (recordings.implausible = "accept")', "red")
     if unfit:

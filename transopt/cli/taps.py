@@ -81,17 +81,8 @@ def taps(
     from transopt.recordings.recording import VOCABULARY
     from transopt.recordings.settings import Recordings
     from transopt.recordings.speed import UNKNOWN
+    from transopt.report import taps as report
     from transopt.report import tried
-    from transopt.report.taps import (
-        cells_table,
-        grid_of,
-        hints,
-        implausible_lines,
-        scene_lines,
-        scene_of_taps,
-        shared_notes,
-        taps_table,
-    )
     from transopt.scene.builtin import scene_path
 
     stated = {
@@ -121,16 +112,16 @@ def taps(
     found = answered(read, VOCABULARY, tried.summary, tried.doubt, tried.oddness, units)
     prepared, settings = found
     console = terminal.console()
-    console.print(taps_table(prepared))
-    for note in shared_notes(prepared):
+    console.print(report.taps_table(prepared))
+    for note in report.shared_notes(prepared):
         console.print(f"of all {len(prepared)}: {note}")
-    grid = grid_of(prepared, settings, _speeds(speeds))
-    cells = cells_table(prepared, grid)
+    grid = report.grid_of(prepared, settings, _speeds(speeds))
+    cells = report.cells_table(prepared, grid)
     if cells is not None:
         console.print(cells)
     if len(prepared) > len(grid.speeds_m_s) > 0 and not speeds:
         console.print("speeds found in the taps: state others by --speeds, or edit speeds_m_s in [grid] of the scene")
-    for hint in hints(prepared, settings):
+    for hint in report.hints(prepared, settings):
         console.print(hint, style="yellow")
     if out is not None:
         from transopt.base.plotting import save_figure
@@ -140,14 +131,14 @@ def taps(
         save_figure(taps_figure(prepared), out / "taps.png")
         console.print(f"overlay: {out / 'taps.png'}")
     refusal = tried.refusal(found, read)
-    for line in implausible_lines(prepared):
+    for line in report.implausible_lines(prepared):
         if line not in str(refusal):  # which is said last
             console.print(line, style="red")
     if refusal is not None and any(tap.speed_source == UNKNOWN for tap in prepared):
         raise refusal  # a scene needs a speed
     if scene is not None:
         text = scene_path("own_taps").read_text(encoding="utf-8")
-        write_new(scene, scene_of_taps(text, grid, files, settings, scene.parent), force=force)
+        write_new(scene, report.scene_of_taps(text, grid, files, settings, scene.parent), force=force)
         after = f"next: transopt solve {shlex.quote(str(scene))}"
         if refusal is not None:
             after = "solve refuses it until that is put right or accepted (--accept)"
@@ -155,7 +146,7 @@ def taps(
     else:
         console.print("\nLines for your scene, which this command begins:", style="bold")
         console.print("transopt scene new mine.toml --from own_taps\n")
-        typer.echo(scene_lines(grid, files, settings))
+        typer.echo(report.scene_lines(grid, files, settings))
     if refusal is not None:
         raise refusal
 

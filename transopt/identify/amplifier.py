@@ -9,28 +9,13 @@ from scipy import fft, optimize
 
 from transopt.base.errors import InputError
 from transopt.base.signals import BoolArray, ComplexArray, FloatArray
+from transopt.identify import checks, spectrum
 from transopt.identify.amplifier_response import less_dead_band, sampled, simulate_current
-from transopt.identify.checks import (
-    check_bins,
-    check_cycles,
-    check_measurement,
-    check_sign,
-    low_coherence,
-    swept_from,
-)
 from transopt.identify.condensed import Condensed
 from transopt.identify.findings import COHERENT, Check, Finding, refuse
 from transopt.identify.fit import Fit, intervals_around, known
 from transopt.identify.likelihood import Likelihood, Maximum
 from transopt.identify.measurement import Measurement
-from transopt.identify.spectrum import (
-    TransferEstimate,
-    Trial,
-    check_rates,
-    condense_trials,
-    estimate_transfer,
-    transfer,
-)
 
 PARAMETERS = ("pole_Hz", "delay_s", "gain")
 LEAST_BINS = 12
@@ -92,7 +77,7 @@ class AmplifierFit(Fit):
     covariance: FloatArray
     intervals: Mapping[str, tuple[float, float]]
     crossover: Crossover
-    estimate: TransferEstimate
+    estimate: spectrum.TransferEstimate
     misfit_dB: float
     misfit_deg: float
     trial_gains: FloatArray
@@ -189,15 +174,15 @@ class _Fit:
     """The condensed data, the response, and pole [Hz], delay [s] and gain with their covariance."""
 
     data: Condensed
-    estimate: TransferEstimate
+    estimate: spectrum.TransferEstimate
     values: FloatArray
     covariance: FloatArray
 
 
-def _fit(trials: Sequence[Trial]) -> _Fit:
+def _fit(trials: Sequence[spectrum.Trial]) -> _Fit:
     """The fit to the coherent bins."""
-    data = condense_trials(trials).moved()
-    estimate = transfer(data)
+    data = spectrum.condense_trials(trials).moved()
+    estimate = spectrum.transfer(data)
     good = estimate.coherence >= COHERENT
     if np.count_nonzero(good) < LEAST_BINS:
         raise InputError(f"from command to current {_share(good)}; sweep with more current")
@@ -209,7 +194,7 @@ def _fit(trials: Sequence[Trial]) -> _Fit:
     return _Fit(data, estimate, values, found.covariance * np.outer(scale, scale))
 
 
-def fit_amplifier(trials: Sequence[Trial]) -> AmplifierFit:
+def fit_amplifier(trials: Sequence[spectrum.Trial]) -> AmplifierFit:
     """Pole, delay, gain and crossover from sweeps.
 
     One pole and a delay, with hold and sampling, are fitted to all lines of all trials (`likelihood`). A crossover
@@ -256,32 +241,32 @@ def fit_amplifier(trials: Sequence[Trial]) -> AmplifierFit:
         misfit_deg=misfit[1],
         trial_gains=_gains(plain.data, sampled(plain.data.frequencies_Hz, pole, delay, dt_s)[0]),
         dt_s=dt_s,
-        low_Hz=swept_from(trials, fit.estimate),
+        low_Hz=checks.swept_from(trials, fit.estimate),
     )
 
 
-def trials_of(runs: Sequence[Measurement]) -> tuple[list[Trial], list[Finding]]:
+def trials_of(runs: Sequence[Measurement]) -> tuple[list[spectrum.Trial], list[Finding]]:
     """Trials from command to current, and the findings about them that are not fatal.
 
     Raises
     ------
     InputError : a finding is fatal.
     """
-    findings = refuse(finding for run in runs for finding in check_measurement(run, ("command", "current")))
-    trials = [Trial.of(run, "command", "current") for run in runs]
-    refuse(check_rates(trials))
+    findings = refuse(finding for run in runs for finding in checks.check_measurement(run, ("command", "current")))
+    trials = [spectrum.Trial.of(run, "command", "current") for run in runs]
+    refuse(spectrum.check_rates(trials))
     # Each trial is checked by itself, so that the message names its file.
-    each = [estimate_transfer([trial]) for trial in trials]
+    each = [spectrum.estimate_transfer([trial]) for trial in trials]
     refuse(check_alike([trial.name for trial in trials], each))
     for trial, alone in zip(trials, each, strict=True):
-        refuse(check_sign(trial.name, alone))
-    together = estimate_transfer(trials)
-    findings += refuse(check_cycles("all files", trials, together, swept_from(trials, together)))
-    findings += low_coherence("all files", together)
+        refuse(checks.check_sign(trial.name, alone))
+    together = spectrum.estimate_transfer(trials)
+    findings += refuse(checks.check_cycles("all files", trials, together, checks.swept_from(trials, together)))
+    findings += checks.low_coherence("all files", together)
     return trials, findings
 
 
-def check_alike(names: Sequence[str], estimates: Sequence[TransferEstimate]) -> list[Finding]:
+def check_alike(names: Sequence[str], estimates: Sequence[spectrum.TransferEstimate]) -> list[Finding]:
     """Find trials whose current does not follow the command, or follows it unlike in the other trials.
 
     A fit to all trials together would hide it: one trial of eight that is read a tick late moves the pole by 7 %.
@@ -294,7 +279,7 @@ def check_alike(names: Sequence[str], estimates: Sequence[TransferEstimate]) -> 
     for name, one in zip(names, estimates, strict=True):
         good = one.coherence >= COHERENT
         if good.size < LEAST_BINS:
-            found += check_bins(name, one, LEAST_BINS)
+            found += checks.check_bins(name, one, LEAST_BINS)
             continue
         if np.count_nonzero(good) < LEAST_BINS:
             found.append(Check.CURRENT_ALONE.at(name, share=_share(good)))
@@ -313,7 +298,7 @@ def check_alike(names: Sequence[str], estimates: Sequence[TransferEstimate]) -> 
     return found
 
 
-def estimate_crossover(trials: Sequence[Trial], pole_Hz: float, delay_s: float) -> Crossover:
+def estimate_crossover(trials: Sequence[spectrum.Trial], pole_Hz: float, delay_s: float) -> Crossover:
     """Half-width of the dead band by least squares in the time domain, with pole and delay known.
 
     current = gain LTI{c - min(max(c, -h), h)} + offset of the trial's monitor + noise. For a given h this is linear
@@ -360,7 +345,7 @@ def _deviation_of_sum(weights: FloatArray, noise: FloatArray, lengths: Sequence[
     return float(np.sqrt(variance))
 
 
-def _at_rest(trial: Trial, half_width_A: float, pole_Hz: float, delay_s: float) -> Trial:
+def _at_rest(trial: spectrum.Trial, half_width_A: float, pole_Hz: float, delay_s: float) -> spectrum.Trial:
     """The trial with the dead band subtracted from its command, extended by the fit until the current has settled.
 
     A record that ends before the current has settled disturbs the lowest lines of its spectrum, and those are too
@@ -382,7 +367,7 @@ def _gains(data: Condensed, shape: ComplexArray) -> FloatArray:
     return np.asarray(along / np.einsum("bi,kbij,bj,b->k", shape.conj(), data.normal, shape, weight).real)
 
 
-def _misfit(estimate: TransferEstimate, fit: ComplexArray) -> tuple[float, float]:
+def _misfit(estimate: spectrum.TransferEstimate, fit: ComplexArray) -> tuple[float, float]:
     """Largest error of the fit in dB and in degrees, of means over a third of an octave of the coherent bins.
 
     The part that noise alone explains (`CERTAIN` standard deviations) is subtracted: the rest is the model's error.

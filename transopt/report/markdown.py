@@ -12,15 +12,8 @@ from transopt.design.refine_grid import Refinement
 from transopt.library.columns import COLUMNS, FIGURES, FULL, RIVALS
 from transopt.library.trade import trade_figures
 from transopt.problem.limits.limit import Limit
+from transopt.report import tables
 from transopt.report.identified import identified_lines
-from transopt.report.tables import (
-    cool_summary,
-    legend,
-    refinement_summary,
-    refusal,
-    summary,
-    warnings,
-)
 from transopt.report.trade import TRADE_COLUMNS, TRADE_LEGEND, trade_cells
 from transopt.report.trade_off import attained_lines, trade_off_lines
 from transopt.solvers.options import FALLBACK, default_solver
@@ -36,7 +29,7 @@ CERTIFICATE_LEGEND = (
 
 def _between_lines(refinement: Refinement) -> list[str]:
     """The section on the loss of the blend between the nodes."""
-    lines = ["## Between the nodes", "", refinement_summary(refinement), ""]
+    lines = ["## Between the nodes", "", tables.refinement_summary(refinement), ""]
     if refinement.is_one_point:
         return lines
     head = ["grid", "speeds", "grips", "entries", "worst excess %", "at m/s, N", "tap error / optimum %"]
@@ -267,7 +260,7 @@ def _cool_lines(build: Build) -> list[str]:
     if library is None or library.cool is None:
         return []
     shown = library.cool.table((*FIGURES, "peak", "binding"))
-    sentence = cool_summary(library)
+    sentence = tables.cool_summary(library)
     return ["", "## Cool commands", "", *table(shown.heads, shown.cells), f"{sentence[0].upper()}{sentence[1:]}."]
 
 
@@ -280,9 +273,9 @@ def build_markdown(build: Build, *, full: bool = True) -> str:
     """
     entries = list(build.all_entries())
     lines = [f"# {build.scene.name}", ""]
-    for paragraph in filter(None, (build.scene.description, _origin(build), summary(build))):
+    for paragraph in filter(None, (build.scene.description, _origin(build), tables.summary(build))):
         lines += [paragraph, ""]
-    for warning in warnings(build):
+    for warning in tables.warnings(build):
         lines += [f"**{warning[0].upper()}{warning[1:]}.**", ""]
     if default_solver() == FALLBACK:
         lines += [
@@ -290,10 +283,10 @@ def build_markdown(build: Build, *, full: bool = True) -> str:
             "",
         ]
     shown = build.table([name for name in COLUMNS if name in FULL or (full and name in RIVALS)])
-    lines += [*table(shown.heads, shown.cells), legend(shown, build.scene), ""]
+    lines += [*table(shown.heads, shown.cells), tables.legend(shown, build.scene), ""]
     if build.refused:
         lines += ["## Refused", ""]
-        lines += [f"- {each.place}: {refusal(each)}" for each in build.refused]
+        lines += [f"- {each.place}: {tables.refusal(each)}" for each in build.refused]
         lines += [""]
     head = ["J", "gap / max(J, 1e-3)", "over bound", "violation", "winding C", "states", "variables"]
     head += ["rows", "solver"]

@@ -11,16 +11,9 @@ from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.plant.motor import Tip
 from transopt.plant.state_space import CURRENT_INPUT, Input, StateSpace
+from transopt.scene import model_parts
 from transopt.scene.fitted import FittedPart, ModelPart
 from transopt.scene.model_error import ModelError
-from transopt.scene.model_parts import (
-    DriveDevice,
-    FourthOrderHand,
-    ModelParts,
-    SecondOrderHand,
-    StateSpaceDevice,
-    check_grip,
-)
 
 SEED = 7  # fixed seed of the draws, so that a library can be reproduced
 MAX_DRAWS = 200  # for each device that is wanted, until it is passive
@@ -28,11 +21,11 @@ TAP_HZ = 5.0, 600.0  # band that contains the energy of a tap
 BANDS = 24  # number of frequencies in that band for an error by the covariance of a fit
 RELATIVE_STEP = 1e-4  # relative change of a parameter for difference quotients of responses
 
-Chain = DriveDevice | SecondOrderHand | FourthOrderHand
+Chain = model_parts.DriveDevice | model_parts.SecondOrderHand | model_parts.FourthOrderHand
 """Parts whose masses, springs and dampers were fitted, with their covariance."""
 
 
-class IdentifiedModel(ModelParts):
+class IdentifiedModel(model_parts.ModelParts):
     """The content of a model file (`model = "MODEL.json"`), so that a library does not need the file."""
 
     kind: Literal["identified"]
@@ -49,7 +42,14 @@ class IdentifiedModel(ModelParts):
         return self
 
     @property
-    def moving(self) -> DriveDevice | StateSpaceDevice | SecondOrderHand | FourthOrderHand:
+    def moving(
+        self,
+    ) -> (
+        model_parts.DriveDevice
+        | model_parts.StateSpaceDevice
+        | model_parts.SecondOrderHand
+        | model_parts.FourthOrderHand
+    ):
         """The part that the current moves: the device, or the hand where only a hand was identified."""
         part = self.hand if self.device is None else self.device
         assert part is not None
@@ -70,12 +70,12 @@ class IdentifiedModel(ModelParts):
     @property
     def is_chain(self) -> bool:
         """Whether its states are the elongations of a chain of masses, then their rates."""
-        return not isinstance(self.moving, StateSpaceDevice)
+        return not isinstance(self.moving, model_parts.StateSpaceDevice)
 
     def tip(self) -> Tip | None:
         """The drive at the tip; None if the file has no drive chain."""
         device = self.device
-        if not isinstance(device, DriveDevice):
+        if not isinstance(device, model_parts.DriveDevice):
             return None
         return Tip(
             force_per_current_N_A=device.force_per_current_N_A,
@@ -86,7 +86,7 @@ class IdentifiedModel(ModelParts):
 
     def check_grip(self, grip_N: float) -> None:
         """Check that a grip is within the recorded ones."""
-        check_grip(self.moving.grips_N, grip_N)
+        model_parts.check_grip(self.moving.grips_N, grip_N)
 
     def error_of(
         self,
@@ -132,15 +132,15 @@ class IdentifiedModel(ModelParts):
         InputError : a grip that was not recorded, parameters that are not passive there, a black box that is struck.
         """
         match self.moving:
-            case DriveDevice() as device:
+            case model_parts.DriveDevice() as device:
                 return device.plant(grip_N, struck=struck)
-            case StateSpaceDevice() as device:
+            case model_parts.StateSpaceDevice() as device:
                 if struck:
                     raise InputError(
                         f"{self.file}: a state space from the motor's current has no stylus to strike with"
                     )
                 return device.plant(grip_N)
-            case SecondOrderHand() | FourthOrderHand() as hand:
+            case model_parts.SecondOrderHand() | model_parts.FourthOrderHand() as hand:
                 assert force_per_current_N_A is not None
                 return hand.plant(grip_N, force_per_current_N_A=1.0 if struck else force_per_current_N_A)
 
@@ -184,7 +184,7 @@ class IdentifiedModel(ModelParts):
         by the covariance, to first order.
         """
         part = self.moving
-        if not isinstance(part, DriveDevice) or part.error is None:
+        if not isinstance(part, model_parts.DriveDevice) or part.error is None:
             return 1.0
         known = np.array(part.error.frequencies_Hz)
         inside = (known >= TAP_HZ[0]) & (known <= TAP_HZ[1])
@@ -209,7 +209,7 @@ class IdentifiedModel(ModelParts):
         """The model with another device or hand."""
         for grip_N in grips_N:
             part.plant(grip_N)
-        return self.model_copy(update={"device" if isinstance(part, DriveDevice) else "hand": part})
+        return self.model_copy(update={"device" if isinstance(part, model_parts.DriveDevice) else "hand": part})
 
 
 def error_by_covariance(part: Chain) -> ModelError:

@@ -20,27 +20,15 @@ from pydantic import Field, ValidationError
 from transopt.base.errors import InputError
 from transopt.base.files import check_depth, read_file, whole_file
 from transopt.base.sizes import MOST_MODEL_BYTES
+from transopt.scene import model_parts
 from transopt.scene.fitted import complaint
-from transopt.scene.model_parts import (
-    MODEL_PARTS,
-    AmplifierPart,
-    AnyModelPart,
-    CoilPart,
-    DriveDevice,
-    FourthOrderHand,
-    ModelPartName,
-    ModelParts,
-    SecondOrderHand,
-    StateSpaceDevice,
-    check_grip,
-)
 
 SCHEMA = 1
 _GRIPS_LINE = re.compile(r"^grips_N *= *\[[^]]*\]", re.MULTILINE)
 OF_THE_FILE = ("pole_Hz", "delay_s")  # keys of [amplifier] that a file with an amplifier part replaces
 
 
-class ModelFile(ModelParts):
+class ModelFile(model_parts.ModelParts):
     """The content of a model file: its parts, and the versions of the software that wrote it.
 
     Attributes
@@ -92,7 +80,7 @@ def load_model(path: Path) -> ModelFile:
     return _parsed(path, _raw(path))
 
 
-def save_part(path: Path, name: ModelPartName, part: AnyModelPart) -> None:
+def save_part(path: Path, name: model_parts.ModelPartName, part: model_parts.AnyModelPart) -> None:
     """Write one part into a model file and keep the file's other parts.
 
     Raises
@@ -102,10 +90,10 @@ def save_part(path: Path, name: ModelPartName, part: AnyModelPart) -> None:
     TypeError : a part that does not belong under this name.
     """
     expected = {
-        "amplifier": AmplifierPart,
-        "device": DriveDevice | StateSpaceDevice,
-        "hand": SecondOrderHand | FourthOrderHand,
-        "coil": CoilPart,
+        "amplifier": model_parts.AmplifierPart,
+        "device": model_parts.DriveDevice | model_parts.StateSpaceDevice,
+        "hand": model_parts.SecondOrderHand | model_parts.FourthOrderHand,
+        "coil": model_parts.CoilPart,
     }[name]
     if not isinstance(part, expected):
         raise TypeError(f"{name}: cannot be a {type(part).__name__}")
@@ -116,7 +104,7 @@ def save_part(path: Path, name: ModelPartName, part: AnyModelPart) -> None:
             **{package: metadata.version(package) for package in ("transopt", "numpy", "scipy")},
             "python": platform.python_version(),
         },
-        **{other: content[other] for other in MODEL_PARTS if content.get(other) is not None},
+        **{other: content[other] for other in model_parts.MODEL_PARTS if content.get(other) is not None},
         name: part.model_dump(mode="json"),
     }
     text = json.dumps(content, indent=1, allow_nan=False)
@@ -136,7 +124,7 @@ def identified_table(path: Path, shown: str) -> dict[str, Any]:
     InputError : no such file, or no model file.
     """
     raw = _raw(path)
-    found = _parsed(path, raw).model_dump(include=set(MODEL_PARTS), exclude_none=True)
+    found = _parsed(path, raw).model_dump(include=set(model_parts.MODEL_PARTS), exclude_none=True)
     return {"kind": "identified", "file": shown, "sha256": hashlib.sha256(raw).hexdigest(), **found}
 
 
@@ -180,7 +168,7 @@ def served_grips(identified: dict[str, Any], grips_N: Sequence[float]) -> list[f
     known: list[float] = moving["grips_N"]
     try:
         for grip_N in grips_N:
-            check_grip(known, grip_N)
+            model_parts.check_grip(known, grip_N)
     except InputError:
         return sorted({float(f"{grip_N:.3g}") for grip_N in known if grip_N > 0}) or known
     return list(grips_N)

@@ -37,23 +37,10 @@ from transopt.problem.objective.error_term import rapid_filter
 from transopt.problem.posing import Posing
 from transopt.recordings.settings import Recordings
 from transopt.references.targets import TargetTable
+from transopt.scene import sections
 from transopt.scene.consistent import BELOW, POPULATION_SEED, check
 from transopt.scene.identified import IdentifiedModel
 from transopt.scene.model_parts import ChainHand, DriveDevice
-from transopt.scene.sections import (
-    WINDOW_S,
-    AmplifierSection,
-    Feedback,
-    Grid,
-    Hand,
-    LimitsSection,
-    Robust,
-    Striker,
-    Thermal,
-    Time,
-    Weights,
-    covering_lead_s,
-)
 
 
 class Scene(Section):
@@ -71,23 +58,23 @@ class Scene(Section):
 
     name: Name
     description: Words = ""
-    grid: Grid = Grid()
-    time: Time = Time()
+    grid: sections.Grid = sections.Grid()
+    time: sections.Time = sections.Time()
     recordings: Recordings = Recordings()
-    hand: Hand = Hand()
+    hand: sections.Hand = sections.Hand()
     targets: Annotated[list[TargetTable], Field(max_length=MOST_NODES)] = Field(default_factory=list)
     model: Annotated[Model | IdentifiedModel, Field(discriminator="kind")]
     motor: Motor | None = None
     transmission: Transmission | None = None
     tip: Tip | None = None
-    amplifier: AmplifierSection | Literal["ideal"]
-    limits: LimitsSection
-    thermal: Thermal = Thermal()
-    feedback: Feedback | None = None
-    weights: Weights = Weights()
-    robust: Robust | None = None
+    amplifier: sections.AmplifierSection | Literal["ideal"]
+    limits: sections.LimitsSection
+    thermal: sections.Thermal = sections.Thermal()
+    feedback: sections.Feedback | None = None
+    weights: sections.Weights = sections.Weights()
+    robust: sections.Robust | None = None
     hand_over_samples: Annotated[int, Field(ge=1)] = 10
-    striker: Striker | None = None
+    striker: sections.Striker | None = None
     implausible: Literal["refuse", "accept"] = "refuse"  # see `transopt.scene.plausible`
 
     def __repr__(self) -> str:
@@ -180,7 +167,7 @@ class Scene(Section):
         """The amplifier's model; None for an ideal one."""
         if self.amplifier == "ideal":
             return None
-        assert isinstance(self.amplifier, AmplifierSection)
+        assert isinstance(self.amplifier, sections.AmplifierSection)
         identified = self.model.amplifier if isinstance(self.model, IdentifiedModel) else None
         stated = self.amplifier if identified is None else identified
         pole_Hz, delay_s, bridge = stated.pole_Hz, stated.delay_s, self.bridge()
@@ -223,7 +210,9 @@ class Scene(Section):
     @property
     def lead_s(self) -> float:
         """Time by which the waveform precedes contact: as stated, or the least that covers the amplifier's delay."""
-        return covering_lead_s(self.time.dt_s, self.delay_s) if self.time.lead_s is None else self.time.lead_s
+        return (
+            sections.covering_lead_s(self.time.dt_s, self.delay_s) if self.time.lead_s is None else self.time.lead_s
+        )
 
     @property
     def stages(self) -> int:
@@ -231,7 +220,7 @@ class Scene(Section):
         dt_s, rate_Hz = self.time.dt_s, self.thermal.tap_rate_Hz
         if self.time.stages is not None:
             return self.time.stages
-        stages = min(round(WINDOW_S / dt_s), MOST_STAGES)
+        stages = min(round(sections.WINDOW_S / dt_s), MOST_STAGES)
         if rate_Hz is not None:
             # A tap takes a servo period and the amplifier's delay longer than its window, and ends before the next.
             stages = min(stages, math.ceil((1 / rate_Hz - self.delay_s) / dt_s * BELOW) - 2)

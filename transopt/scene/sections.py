@@ -8,17 +8,8 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
+from transopt.base import sizes
 from transopt.base.section import Finite, NonNegative, Positive, Section, Speed, Temperature, Words, increasing
-from transopt.base.sizes import (
-    LONGEST_AFTER_S,
-    LONGEST_DELAY_S,
-    LONGEST_DT_S,
-    LONGEST_HORIZON_S,
-    LONGEST_LEAD_S,
-    MOST_NODES,
-    MOST_STAGES,
-    SHORTEST_DT_S,
-)
 from transopt.plant.bridge import FASTEST_SWITCHING_HZ, SLOWEST_SWITCHING_HZ
 from transopt.plant.intention import INTENTION_S, Intention, Yielding
 from transopt.plant.kinds import Model
@@ -54,8 +45,10 @@ class Grid(Section):
     cool_share : heat of the cool command for a warm coil, at most this share of the first command's.
     """
 
-    speeds_m_s: Annotated[list[Speed], Field(max_length=MOST_NODES)] = Field(default_factory=list)
-    grips_N: Annotated[list[NonNegative], Field(min_length=1, max_length=MOST_NODES)] = Field(default_factory=_free)
+    speeds_m_s: Annotated[list[Speed], Field(max_length=sizes.MOST_NODES)] = Field(default_factory=list)
+    grips_N: Annotated[list[NonNegative], Field(min_length=1, max_length=sizes.MOST_NODES)] = Field(
+        default_factory=_free
+    )
     grip_min_N: Positive = 0.5
     cool_share: Annotated[float, Field(gt=0, lt=1)] | None = None
 
@@ -90,17 +83,17 @@ class Time(Section):
     lead_s : time by which the waveform precedes contact; by default the amplifier's delay and 0.2 ms.
     """
 
-    dt_s: Annotated[float, Field(ge=SHORTEST_DT_S, le=LONGEST_DT_S)] = 1e-4
-    stages: Annotated[int, Field(ge=2, le=MOST_STAGES)] | None = None
-    lead_s: Annotated[float, Field(ge=0, le=LONGEST_LEAD_S)] | None = None
+    dt_s: Annotated[float, Field(ge=sizes.SHORTEST_DT_S, le=sizes.LONGEST_DT_S)] = 1e-4
+    stages: Annotated[int, Field(ge=2, le=sizes.MOST_STAGES)] | None = None
+    lead_s: Annotated[float, Field(ge=0, le=sizes.LONGEST_LEAD_S)] | None = None
 
     @model_validator(mode="after")
     def _short(self) -> Self:
         horizon_s = (self.stages or 0) * self.dt_s
-        if horizon_s > LONGEST_HORIZON_S:
+        if horizon_s > sizes.LONGEST_HORIZON_S:
             raise ValueError(
                 f"{self.stages} stages of {self.dt_s:g} s are {horizon_s:g} s: must be at most "
-                f"{LONGEST_HORIZON_S:g} s; a tap is over in a tenth of one"
+                f"{sizes.LONGEST_HORIZON_S:g} s; a tap is over in a tenth of one"
             )
         return self
 
@@ -125,7 +118,7 @@ class AmplifierSection(Section):
     """
 
     pole_Hz: Positive | None = None
-    delay_s: Annotated[float, Field(ge=0, le=LONGEST_DELAY_S)] | None = None
+    delay_s: Annotated[float, Field(ge=0, le=sizes.LONGEST_DELAY_S)] | None = None
     command_limit_A: Positive = 6.0
     command_limit_V: Positive | None = None
     switching_Hz: Annotated[float, Field(ge=SLOWEST_SWITCHING_HZ, le=FASTEST_SWITCHING_HZ)] | None = None
@@ -191,7 +184,7 @@ class LimitsSection(Section):
     voltage_V: Positive | None = None
     steady_voltage_V: Positive | None = None
     slew_V_per_s: Positive | None = None
-    sag: Annotated[list[Instant], Field(max_length=MOST_NODES)] | None = None
+    sag: Annotated[list[Instant], Field(max_length=sizes.MOST_NODES)] | None = None
     stroke_m: Positive | None = None
     velocity_m_s: Positive | None = None
     own: list[OwnLimitTable] = Field(default_factory=list)
@@ -298,7 +291,7 @@ class Hand(Section):
     yields : law by which the hand yields after that.
     """
 
-    intention_s: Annotated[float, Field(ge=1e-3, le=LONGEST_HORIZON_S)] = INTENTION_S
+    intention_s: Annotated[float, Field(ge=1e-3, le=sizes.LONGEST_HORIZON_S)] = INTENTION_S
     yields: Yielding = "brakes"
 
     def intention(self) -> Intention:
@@ -333,7 +326,7 @@ class Weights(Section):
     rapid: Literal["highpass", "pacinian", "none"] = "highpass"
     rapid_from_Hz: Positive = 20.0
     heat_price: Annotated[float, Field(ge=0, le=1e6)] = 0.0
-    after_s: Annotated[float, Field(ge=0, le=LONGEST_AFTER_S)] = 30e-3
+    after_s: Annotated[float, Field(ge=0, le=sizes.LONGEST_AFTER_S)] = 30e-3
     calm: Annotated[float, Field(ge=1, le=1e6)] = 1.0
     objective: Literal["waveform", "intensity"] = "waveform"
     intensity_dB: Annotated[float, Field(ge=-40, le=20)] = 0.0

@@ -10,18 +10,10 @@ import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.identify.checks import runs_of
+from transopt.identify.device import effects
 from transopt.identify.device.black_box import BlackBox
 from transopt.identify.device.chain import RANGE, GripResponse
 from transopt.identify.device.chain_fit import MISFIT, ChainFit, GripFit, factor_of
-from transopt.identify.device.effects import (
-    CROSSOVER,
-    SHORTFALL,
-    Missed,
-    current_missed,
-    distortion,
-    named,
-    named_by_lines,
-)
 from transopt.identify.device.response import ACCELERATION, Instrument
 from transopt.identify.device.result import Candidate, Kind
 from transopt.identify.device.trials import BAND_HZ, Grip, incoherent_bands
@@ -63,7 +55,7 @@ def two_clocks(recorded_s: float, servo_s: float | None) -> list[str]:
 
 def distorted(repeated: Sequence[Measurement]) -> list[Finding]:
     """Findings of distortion at the detection lines of periodic records; none for a record without distortion."""
-    found = [(run, distortion(run)) for run in repeated]
+    found = [(run, effects.distortion(run)) for run in repeated]
     return [
         beside(run.name, measured.words())
         for run, measured in found
@@ -75,7 +67,7 @@ def causes_of(
     chosen: Candidate,
     chain: ChainFit | None,
     grips: Sequence[Grip],
-    used: Sequence[Missed],
+    used: Sequence[effects.Missed],
     error: ModelError,
     repeated: Sequence[Measurement],
 ) -> list[Finding]:
@@ -112,7 +104,7 @@ def causes_of(
             "the intervals are that much wider; hold the stylus steadily, or add trials"
         )
         say("varying hand", "trials", text)
-    by_lines = [] if chain is None else named_by_lines(chain, repeated)
+    by_lines = [] if chain is None else effects.named_by_lines(chain, repeated)
     for cause, share in by_lines:
         verb = "neither friction nor stiffening explains" if cause == "backlash" else "explains"
         text = f"{verb} {100 * share:.0f} % of what sounds at lines that were not excited: {REMEDIES[cause]}"
@@ -120,23 +112,25 @@ def causes_of(
     loud = [one for one, tap in zip(used, error.at_use, strict=True) if tap.excess]
     if loud:
         worst = max(tap.excess for tap in error.at_use)
-        currents = [current_missed(chosen.instrument, one.run) for one in loud]
+        currents = [effects.current_missed(chosen.instrument, one.run) for one in loud]
         fallen, crossover_A = (max(values) for values in zip(*currents, strict=True))
-        if fallen > SHORTFALL:
+        if fallen > effects.SHORTFALL:
             text = (
                 f"the current falls {100 * fallen:.2g} % short of the largest command: lower limits.current_A, or "
                 "raise the supply"
             )
             say("amplifier saturation", "current_A", text)
-        elif crossover_A > CROSSOVER:
+        elif crossover_A > effects.CROSSOVER:
             text = (
                 f"the amplifier follows no command below {1e3 * crossover_A:.2g} mA, so small currents lose most: "
                 "identify the amplifier too, and refine the library on the device"
             )
             say("amplifier crossover", "current_A", text)
-        listened = any(distortion(run) is not None for run in repeated)  # detection lines beat taps in telling causes
+        listened = any(
+            effects.distortion(run) is not None for run in repeated
+        )  # detection lines beat taps in telling causes
         if chain is not None and not listened:
-            for cause, share in named(chain, loud):
+            for cause, share in effects.named(chain, loud):
                 text = (
                     f"explains {100 * share:.0f} % of what taps at full current miss ({100 * worst:.2g} %): "
                     f"{REMEDIES[cause]}"

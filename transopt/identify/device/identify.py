@@ -7,63 +7,11 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.identify.checks import begun_late, by_grip, within
+from transopt.identify.device import chain_fit, cleaned, effects, findings, trials, validation
 from transopt.identify.device.black_box import BlackBox, fit_black_box
 from transopt.identify.device.chain import DriveChain, GripResponse
-from transopt.identify.device.chain_fit import (
-    BETTER,
-    EXPLAINED,
-    RANDOM_STARTS,
-    WHOLLY,
-    ChainFit,
-    fit_chain,
-    fit_per_grip,
-    refit,
-    response_variance,
-)
-from transopt.identify.device.cleaned import (
-    Drift,
-    delay_samples,
-    drift_of,
-    finding,
-    grip_without_drift,
-    without_delay,
-    without_drift,
-    without_leakage,
-)
-from transopt.identify.device.effects import (
-    Missed,
-    at_use,
-    missed,
-    named_by_lines,
-)
-from transopt.identify.device.findings import (
-    about_chain,
-    advice,
-    beyond_a_chain,
-    causes_of,
-    distorted,
-    noise_findings,
-    two_clocks,
-)
 from transopt.identify.device.response import Instrument
 from transopt.identify.device.result import Candidate, DeviceResult, Kind, device_part
-from transopt.identify.device.trials import (
-    Records,
-    instrument_of,
-    recorded_at,
-    sort_trials,
-)
-from transopt.identify.device.validation import (
-    Model,
-    Taps,
-    compare,
-    model_error,
-    not_covered,
-    predict_taps,
-    relative,
-    short_of,
-    together,
-)
 from transopt.identify.findings import COHERENT, Finding
 from transopt.identify.measurement import Measurement
 from transopt.identify.spectrum import Trial, check_rates
@@ -98,8 +46,8 @@ class Settings:
     kind: Kind = Kind.AUTO
     order: int | None = None
     played_N: tuple[float, ...] = ()
-    random_starts: int = RANDOM_STARTS
-    taps: Callable[[DriveDevice | StateSpaceDevice], Taps | None] | None = None
+    random_starts: int = chain_fit.RANDOM_STARTS
+    taps: Callable[[DriveDevice | StateSpaceDevice], validation.Taps | None] | None = None
     servo_s: float | None = None
 
 
@@ -127,25 +75,25 @@ def identify(
     records, transients, late = _ready(runs, transients, settings, tick)
     records, chain, box, drift = _fitted(records, repeated, settings, tick)
     if drift is not None:
-        transients = without_drift(transients, drift.relative)
+        transients = cleaned.without_drift(transients, drift.relative)
     chosen, *others = _candidates(records, chain, box, tick)
     grips, found = records.grips, [*late, *records.findings]
     error, used = _at_use(chosen, transients, [grip.grip_N for grip in grips])
     everything = [*(run for grip in grips for run in (*grip.fitted, *grip.kept)), *transients, *repeated]
     error = error.model_copy(update={"recorded_A": [_largest_A(grip.grip_N, everything) for grip in grips]})
-    own_hands = [] if chain is None else fit_per_grip(chain, _measured(records), least_coherence=COHERENT)
-    advised = advice(grips, chosen.model, chosen.instrument, settings.played_N)
+    own_hands = [] if chain is None else chain_fit.fit_per_grip(chain, _measured(records), least_coherence=COHERENT)
+    advised = findings.advice(grips, chosen.model, chosen.instrument, settings.played_N)
     if chain is not None and chosen.kind is Kind.DRIVE:
-        advised += about_chain(chain, own_hands)
-    causes, wrong = ["clock"], two_clocks(records.instrument.dt_s, settings.servo_s)
+        advised += findings.about_chain(chain, own_hands)
+    causes, wrong = ["clock"], findings.two_clocks(records.instrument.dt_s, settings.servo_s)
     if not wrong:  # with a wrong clock, an apparent gain or pole would only compensate for it
         longest = max(run.require("acceleration").values.size for grip in grips for run in grip.fitted)
         beside_it = [] if drift is None else [drift.finding(longest)]
-        beside_it += causes_of(chosen, chain, grips, used, error, repeated) + noise_findings(grips)
+        beside_it += findings.causes_of(chosen, chain, grips, used, error, repeated) + findings.noise_findings(grips)
         if chain is not None and box is not None and chosen.kind is Kind.STATE_SPACE:
-            beside_it.append(beyond_a_chain(box))
-        causes = [finding.cause for finding in beside_it if finding.cause]
-        found += beside_it + distorted(repeated)
+            beside_it.append(findings.beyond_a_chain(box))
+        causes = [one.cause for one in beside_it if one.cause]
+        found += beside_it + findings.distorted(repeated)
     result = DeviceResult(
         grips=grips,
         chosen=chosen,
@@ -164,9 +112,9 @@ def identify(
     if taps is None:
         return result
     tick("verdict")
-    predicted = predict_taps(error, taps)
-    uncovered = not_covered(error, taps)
-    return replace(result, predicted=predicted, short=[*wrong, *short_of(predicted)], uncovered=uncovered)
+    predicted = validation.predict_taps(error, taps)
+    uncovered = validation.not_covered(error, taps)
+    return replace(result, predicted=predicted, short=[*wrong, *validation.short_of(predicted)], uncovered=uncovered)
 
 
 def _ready(
@@ -174,7 +122,7 @@ def _ready(
     transients: Sequence[Measurement],
     settings: Settings,
     tick: Callable[[str], None],
-) -> tuple[Records, Sequence[Measurement], list[Finding]]:
+) -> tuple[trials.Records, Sequence[Measurement], list[Finding]]:
     """Records to fit, transients to validate with, and findings."""
     sweeps = [run for run in runs if run.period_s is None and not run.held_out]
     if not sweeps:
@@ -185,34 +133,36 @@ def _ready(
     transients = [*transients, *(run for run in runs if run.held_out and run.period_s is None)]
     begun = {id(run): begun_late(run) for run in transients}
     kept = [run for run in transients if not begun[id(run)]]
-    late = [finding for each in begun.values() for finding in each]
+    late = [one for each in begun.values() for one in each]
     moved, judged, delayed = _on_one_clock(sweeps, kept, settings)
-    records = sort_trials(moved, judged, settings.amplifier, settings.scene_plant, tick=lambda: tick("responses"))
+    records = trials.sort_trials(
+        moved, judged, settings.amplifier, settings.scene_plant, tick=lambda: tick("responses")
+    )
     return records, judged, [*late, *delayed]
 
 
-def _measured(records: Records) -> list[GripResponse]:
+def _measured(records: trials.Records) -> list[GripResponse]:
     return [grip.response for grip in records.grips]
 
 
 def _fitted(
-    records: Records, repeated: Sequence[Measurement], settings: Settings, tick: Callable[[str], None]
-) -> tuple[Records, ChainFit | None, BlackBox | None, Drift | None]:
+    records: trials.Records, repeated: Sequence[Measurement], settings: Settings, tick: Callable[[str], None]
+) -> tuple[trials.Records, chain_fit.ChainFit | None, BlackBox | None, cleaned.Drift | None]:
     """The records without drift and leakage, the models (the kind asked for, or both if either may be better), and
     the drift."""
-    chain: ChainFit | None = None
+    chain: chain_fit.ChainFit | None = None
     box: BlackBox | None = None
-    drift: Drift | None = None
+    drift: cleaned.Drift | None = None
     held = any(grip.grip_N > 0 for grip in records.grips)
     if settings.kind is Kind.DRIVE or (settings.kind is Kind.AUTO and held):
         records, chain, drift = _fitted_chain(records, settings, tick)
-        calm = [without_leakage(grip, chain.device, chain.instrument) for grip in records.grips]
+        calm = [cleaned.without_leakage(grip, chain.device, chain.instrument) for grip in records.grips]
         if any(calm):
             records = replace(records, grips=[new or old for new, old in zip(calm, records.grips, strict=True)])
-            chain = refit(chain, _measured(records))
+            chain = chain_fit.refit(chain, _measured(records))
         if drift is not None:
             # One standard deviation of the drift moves all unknowns together.
-            moves, maximum = drift_of(records.grips, chain).moves, chain.maximum
+            moves, maximum = cleaned.drift_of(records.grips, chain).moves, chain.maximum
             covariance = maximum.covariance + np.outer(moves, moves)
             chain = replace(chain, maximum=replace(maximum, covariance=covariance))
     if settings.kind is Kind.STATE_SPACE or (settings.kind is Kind.AUTO and _worth_a_box(chain, repeated)):
@@ -221,12 +171,12 @@ def _fitted(
 
 
 def _fitted_chain(
-    records: Records, settings: Settings, tick: Callable[[str], None]
-) -> tuple[Records, ChainFit, Drift | None]:
+    records: trials.Records, settings: Settings, tick: Callable[[str], None]
+) -> tuple[trials.Records, chain_fit.ChainFit, cleaned.Drift | None]:
     """The chain, fitted again to records without drift of the accelerometer's clock if they show one."""
 
-    def fitted(to: Records) -> ChainFit:
-        return fit_chain(
+    def fitted(to: trials.Records) -> chain_fit.ChainFit:
+        return chain_fit.fit_chain(
             _measured(to),
             to.instrument,
             settings.nominal,
@@ -237,56 +187,58 @@ def _fitted_chain(
     first = fit = fitted(records)
     steady, whole = records, 0.0
     for _ in range(MOST_STEPS):
-        step = drift_of(steady.grips, fit)
+        step = cleaned.drift_of(steady.grips, fit)
         if not step.shows:
             break
         whole += step.relative
-        moved = [grip_without_drift(grip, whole, records.instrument) for grip in records.grips]
-        steady = replace(records, grips=moved, between=without_drift(records.between, whole))
+        moved = [cleaned.grip_without_drift(grip, whole, records.instrument) for grip in records.grips]
+        steady = replace(records, grips=moved, between=cleaned.without_drift(records.between, whole))
         fit = fitted(steady)
     # A device that is not a chain is fitted better with any drift: take it only if it explains most of the misfit.
-    if whole == 0 or (fit.scatter > WHOLLY and first.scatter < BETTER * fit.scatter):
+    if whole == 0 or (fit.scatter > chain_fit.WHOLLY and first.scatter < chain_fit.BETTER * fit.scatter):
         return records, first, None
     return steady, fit, replace(step, relative=whole)
 
 
 def _candidates(
-    records: Records, chain: ChainFit | None, box: BlackBox | None, tick: Callable[[str], None]
+    records: trials.Records, chain: chain_fit.ChainFit | None, box: BlackBox | None, tick: Callable[[str], None]
 ) -> list[Candidate]:
     """The validated models, the better one first."""
     measured, found = _measured(records), []
     if chain is not None:
-        error = model_error(measured, chain.device, chain.instrument, lambda one: response_variance(chain, one))
+        error = validation.model_error(
+            measured, chain.device, chain.instrument, lambda one: chain_fit.response_variance(chain, one)
+        )
 
-        def refitted(grip_N: float) -> Model:
-            return refit(chain, [one for one in measured if one.grip_N != grip_N]).device
+        def refitted(grip_N: float) -> validation.Model:
+            return chain_fit.refit(chain, [one for one in measured if one.grip_N != grip_N]).device
 
         found.append(_validated(Kind.DRIVE, chain.device, chain.instrument, refitted, records, error))
         tick("validation")
     if box is not None:
-        error = model_error(measured, box, records.instrument, lambda one: (box.variance(one),) * 2)
+        error = validation.model_error(measured, box, records.instrument, lambda one: (box.variance(one),) * 2)
         found.append(_validated(Kind.STATE_SPACE, box, records.instrument, box.without, records, error))
         tick("validation")
     return found[::-1] if len(found) > 1 and found[1].off < PREFERENCE * found[0].off else found
 
 
-def _worth_a_box(chain: ChainFit | None, repeated: Sequence[Measurement]) -> bool:
+def _worth_a_box(chain: chain_fit.ChainFit | None, repeated: Sequence[Measurement]) -> bool:
     """Whether a black box may fit better: there is no chain, or no nonlinear effect explains the chain's residual."""
-    return chain is None or (chain.scatter > EXPLAINED and not named_by_lines(chain, repeated))
+    return chain is None or (chain.scatter > chain_fit.EXPLAINED and not effects.named_by_lines(chain, repeated))
 
 
 def _at_use(
     chosen: Candidate, runs: Sequence[Measurement], recorded_N: Sequence[float]
-) -> tuple[ModelError, list[Missed]]:
+) -> tuple[ModelError, list[effects.Missed]]:
     """Error of the chosen model, taps at the amplitude of use included, and the residual of each such record."""
     known = [run for run in runs if run.grip_N is not None and within(run.grip_N, recorded_N)]
-    used = [missed(chosen.model, run.grip_N or 0.0, chosen.instrument, run) for run in known]
-    return chosen.error.model_copy(update={"at_use": at_use(used, chosen.error)}), used
+    used = [effects.missed(chosen.model, run.grip_N or 0.0, chosen.instrument, run) for run in known]
+    return chosen.error.model_copy(update={"at_use": effects.at_use(used, chosen.error)}), used
 
 
 def _largest_A(grip_N: float, runs: Sequence[Measurement]) -> float:
     """Largest current of the runs at a grip; the largest command where no current was measured."""
-    signals = [run.current or run.command for run in runs if recorded_at(run, [grip_N]) is not None]
+    signals = [run.current or run.command for run in runs if trials.recorded_at(run, [grip_N]) is not None]
     return max((float(np.abs(each.values).max(initial=0.0)) for each in signals if each is not None), default=0.0)
 
 
@@ -294,44 +246,47 @@ def _on_one_clock(
     runs: Sequence[Measurement], transients: Sequence[Measurement], settings: Settings
 ) -> tuple[Sequence[Measurement], Sequence[Measurement], list[Finding]]:
     """Runs and transients with a pure delay of the acceleration's channel removed, and a finding if there was one."""
-    together = [*runs, *transients]
-    instrument = instrument_of(together, settings.amplifier)
-    if any(run.grip_N is None for run in together) or check_rates(
-        [Trial(run.name, x, x) for run in together if (x := run.acceleration) is not None]
+    both = [*runs, *transients]
+    instrument = trials.instrument_of(both, settings.amplifier)
+    if any(run.grip_N is None for run in both) or check_rates(
+        [Trial(run.name, x, x) for run in both if (x := run.acceleration) is not None]
     ):
         return runs, transients, []  # `sort_trials` refuses them and names the file
-    samples = delay_samples(runs, settings.amplifier, settings.nominal.plant, instrument)
+    samples = cleaned.delay_samples(runs, settings.amplifier, settings.nominal.plant, instrument)
     if samples == 0:
         return runs, transients, []
-    moved = without_delay(together, samples)
-    return moved[: len(runs)], moved[len(runs) :], [finding(samples, instrument.dt_s)]
+    moved = cleaned.without_delay(both, samples)
+    return moved[: len(runs)], moved[len(runs) :], [cleaned.finding(samples, instrument.dt_s)]
 
 
 def _validated(
     kind: Kind,
-    model: Model,
+    model: validation.Model,
     instrument: Instrument,
-    without: Callable[[float], Model],
-    records: Records,
+    without: Callable[[float], validation.Model],
+    records: trials.Records,
     error: ModelError,
 ) -> Candidate:
     """Errors at recorded grips, at inner grips with the model `without` them, and at grips with transients only."""
     grips = records.grips
     between = {
-        grip.grip_N: together([compare(without(grip.grip_N), grip.grip_N, instrument, run) for run in grip.kept])
+        grip.grip_N: validation.together(
+            [validation.compare(without(grip.grip_N), grip.grip_N, instrument, run) for run in grip.kept]
+        )
         for grip in [grip for grip in grips if grip.grip_N > 0][1:-1]
         if grip.kept
     }
     for grip_N, group in by_grip(records.between).items():
-        between[grip_N] = together([compare(model, grip_N, instrument, run) for run in group])
+        between[grip_N] = validation.together([validation.compare(model, grip_N, instrument, run) for run in group])
     return Candidate(
         kind=kind,
         model=model,
         instrument=instrument,
         transients={
-            grip.grip_N: [compare(model, grip.grip_N, instrument, run) for run in grip.kept] for grip in grips
+            grip.grip_N: [validation.compare(model, grip.grip_N, instrument, run) for run in grip.kept]
+            for grip in grips
         },
         between=dict(sorted(between.items())),
         error=error,
-        off=relative(error, [grip.response for grip in grips]),
+        off=validation.relative(error, [grip.response for grip in grips]),
     )

@@ -26,6 +26,7 @@ from transopt.identify.device.response import Instrument, sampled_response
 from transopt.identify.device.trials import felt_current
 from transopt.identify.measurement import Measurement
 from transopt.plant.state_space import StateSpace
+from transopt.scene.identified import TAP_HZ
 from transopt.scene.model_error import ModelError, Predicted
 
 HIGHPASS_HZ = 8.0
@@ -34,7 +35,6 @@ NEAR_ZERO = 1e-3  # of the line spacing; replaces 0 Hz, where a free device has 
 BANDS_PER_OCTAVE = 3
 CHANCE = 1e-5  # p value below which a band's misfit is attributed to the model, not to noise
 EDGE = 2  # bins left out at either end of the excited band
-TAP_HZ = 5.0, 600.0  # band that holds the energy of a tap
 FIT = 0.05  # largest predicted relative error of a tap for a model that is fit to design with
 WORTHLESS = 0.5  # predicted relative error of a tap from which on a model supports no design
 
