@@ -50,12 +50,7 @@ def read_circuit(path: Path) -> Circuit:
 
 
 def scene_text(circuit: Circuit, file: str, continuous_A: float) -> str:
-    """A copy of the built-in scene with the motor, the amplifier and the limits of a circuit.
-
-    Parameters
-    ----------
-    continuous_A : the motor's continuous current.
-    """
+    """A copy of the built-in scene with the motor, the amplifier and the limits of a circuit."""
     power, text = circuit.power, scene_path(SOURCE).read_text(encoding="utf-8")
     text = text[text.index("description") :]
     for key, value in (

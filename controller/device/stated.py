@@ -24,10 +24,6 @@ USUAL_COUNT_M = Settings.count_m
 def servo_numbers(device: DeviceFile, dt_s: float) -> dict[str, Any]:
     """Fields of `Settings` that depend on the device only.
 
-    Parameters
-    ----------
-    dt_s : servo period.
-
     Notes
     -----
     At the turning point of a tap, with acceleration a, the stylus stays within one count for 2 sqrt(2 count / a).

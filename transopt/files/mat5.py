@@ -27,10 +27,6 @@ _DEEPEST = 4  # nesting depth of structures
 def variables(data: bytes) -> dict[str, object]:
     """All variables of a file by name, a field of a structure as `log.acc`; the value is None for cells and the like.
 
-    Parameters
-    ----------
-    data : the file's bytes.
-
     Raises
     ------
     ValueError : not a level 5 file (-v7.3 is HDF5), cut short, or too large unpacked. Other damage raises whatever

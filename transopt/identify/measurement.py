@@ -109,10 +109,6 @@ class Measurement:
 def load_measurements(paths: Sequence[Path], layout: Layout | None = None) -> list[Measurement]:
     """Load several runs, each file once: a duplicate would count twice in a fit and would not validate anything.
 
-    Parameters
-    ----------
-    layout : see `load_measurement`.
-
     Raises
     ------
     InputError : see `load_measurement`; or two files with the same content.

@@ -16,12 +16,7 @@ REPORT, FIGURES, COMMANDS, DRAWN = "nonlinear.md", "nonlinear.json", "nonlinear.
 
 
 def nonlinear_files(design: Build, *, figures: bool = True) -> Files:
-    """The library, `nonlinear.md`, `.json` and `.png`, and the proven commands in `nonlinear.csv`, if any is proven.
-
-    Parameters
-    ----------
-    figures : whether to draw both designs.
-    """
+    """The library, `nonlinear.md`, `.json` and `.png`, and the proven commands in `nonlinear.csv`, if any are."""
     files = {REPORT: text(nonlinear_markdown(design)), FIGURES: text(nonlinear_json(design))}
     if design.library is not None:
         files[LIBRARY] = design.library.save

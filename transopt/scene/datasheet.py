@@ -135,10 +135,6 @@ def needed(kind: str, driven_by: str) -> tuple[str, ...]:
 def scene_text(sheet: Datasheet, name: str) -> str:
     """The text of a datasheet's scene file, checked.
 
-    Parameters
-    ----------
-    name : name of the scene.
-
     Raises
     ------
     InputError : values that no scene can have.

@@ -100,10 +100,6 @@ def with_model(scene: Scene, file: str | Path) -> Scene:
     The model replaces `[model]` and, if the file has these parts, the tip and the amplifier's pole and delay; the
     command's range stays. The scene's own device still makes the simulated taps.
 
-    Parameters
-    ----------
-    file : model file written by `transopt identify`.
-
     Raises
     ------
     InputError : one line: file, key, value, what is wrong.

@@ -157,10 +157,6 @@ def served_grips(identified: dict[str, Any], grips_N: Sequence[float]) -> list[f
     """The given grips if the model covers them all, else those at which it was identified, without the free one.
 
     These are means of what a sensor read, such as 1.00001 N, and are rounded to what it can tell, 3 digits.
-
-    Parameters
-    ----------
-    identified : see `identified_table`.
     """
     moving = identified.get("device") or identified.get("hand")
     if moving is None:

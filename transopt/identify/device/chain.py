@@ -98,10 +98,6 @@ def log_slopes(
 
     The acceleration of a mass (`transopt.plant.chain`) is proportional to 1/mass, and enters the rates of the two
     links that it joins. A is linear in each stiffness and in each damping, which fill one column each.
-
-    Parameters
-    ----------
-    parameters, shared : see `chain_of`.
     """
     plant, names = chain_of(parameters, force_per_current_N_A, shared), (*shared, *HAND)[: parameters.size]
     n, stylus = plant.order // 2, _stylus(names)
