@@ -10,11 +10,10 @@ import numpy as np
 
 from controller.device.device_file import Accelerometer, DeviceFile
 from controller.waveforms.prediction import predict
-from transopt.base.signals import STANDARD_GRAVITY_M_S2, BoolArray, FloatArray, flat_extreme
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, BoolArray, FloatArray, stops
 from transopt.library.library import Library
 
 RAIL_PART = 0.98  # part of the stated range from which on a reading counts as at its end: a scale may be 2 % off
-FAR_PART = 0.5  # least part of the readings' span by which a value that repeats lies away from rest
 
 
 def at_rail(acceleration_m_s2: FloatArray, accelerometer: Accelerometer) -> BoolArray:
@@ -34,10 +33,8 @@ def at_rail(acceleration_m_s2: FloatArray, accelerometer: Accelerometer) -> Bool
     found = ~numbers
     if numbers.any():
         places, values = np.flatnonzero(numbers), acceleration_m_s2[numbers]
-        away = values - np.median(values)
-        for flat in (flat_extreme(away), flat_extreme(-away)):
-            if flat.size and abs(away[flat[0]]) > FAR_PART * np.ptp(values):
-                found[places[flat]] = True
+        for stuck in stops(values):
+            found[places[stuck]] = True
     return found
 
 

@@ -22,6 +22,7 @@ AnyArray = NDArray[Any]
 STANDARD_GRAVITY_M_S2 = 9.80665
 WHOLE_COUNTS = 0.01  # tolerance, in counts, of a change that has to be a multiple of one count
 FLAT_RUN, FLAT_COUNT = 3, 6  # least samples in a row, and in all, exactly at the extreme to count as clipped
+FAR_PART = 0.5  # least part of the span of a signal by which an end of a sensor's range lies away from rest
 CROWD = 0.02  # of the amplitude below the extreme: an unclipped sine is there more often than at the extreme itself
 
 
@@ -222,7 +223,7 @@ def nrmse(value: FloatArray, reference: FloatArray) -> float:
     return error / size
 
 
-def flat_extreme(values: FloatArray) -> NDArray[np.intp]:
+def flat_extreme(values: FloatArray) -> IndexArray:
     """Indices of the samples at the maximum if the signal is clipped there; empty otherwise.
 
     A sine dwells at its peak, and a coarse converter turns that into runs of one value; so the signal counts as
@@ -240,3 +241,13 @@ def flat_extreme(values: FloatArray) -> NDArray[np.intp]:
     below = max(CROWD * top, 4.5 * quantum)
     crowd = int(np.count_nonzero((values < top) & (values >= top - below)))
     return at if at.size > crowd else np.zeros(0, dtype=np.intp)
+
+
+def stops(values: FloatArray) -> list[IndexArray]:
+    """Indices of the samples at which a sensor stands still at an end of its range, for each end that it reaches.
+
+    A quiet sensor may repeat its resting value; an end of the range lies far from it.
+    """
+    away, span = values - np.median(values), float(np.ptp(values))
+    flat = (flat_extreme(away), flat_extreme(-away))
+    return [at for at in flat if at.size and abs(away[at[0]]) > FAR_PART * span]

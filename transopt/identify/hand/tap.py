@@ -21,7 +21,7 @@ import numpy as np
 from scipy import integrate, optimize, signal, stats
 
 from transopt.base.errors import InputError
-from transopt.base.signals import FloatArray, flat_extreme
+from transopt.base.signals import FloatArray, stops
 from transopt.identify.checks import UNITS, check_unit
 from transopt.identify.findings import JITTER_LIMIT
 from transopt.identify.measurement import Measurement
@@ -271,12 +271,9 @@ def _check_recording(trial: Measurement) -> None:
         raise InputError(f"{found}: at most {JITTER_LIMIT:g}; sample by a timer and record again")
     for quantity in ("force", "acceleration"):
         values = trial.require(quantity).values
-        away = values - np.median(values)
-        for stuck in (flat_extreme(away), flat_extreme(-away)):
-            # A quiet sensor may repeat its resting value; an end stop lies far from it.
-            if stuck.size and abs(away[stuck[0]]) > 0.5 * np.ptp(values):
-                at = f"{quantity} stays at {values[stuck[0]]:.4g} {UNITS[quantity]} for {stuck.size} samples"
-                raise InputError(f"{at}: clipped; tap more slowly or use a sensor of larger range, and record again")
+        for stuck in stops(values):
+            at = f"{quantity} stays at {values[stuck[0]]:.4g} {UNITS[quantity]} for {stuck.size} samples"
+            raise InputError(f"{at}: clipped; tap more slowly or use a sensor of larger range, and record again")
 
 
 def _check_signs_and_units(trial: Measurement, tap: HandTap) -> None:
