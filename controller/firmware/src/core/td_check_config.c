@@ -146,7 +146,7 @@ static double beyond(const double *n, const td_hardware *hardware)
         {driven ? -n[TD_CFG_AMPLIFIER_POLE_HZ] * (1 - n[TD_CFG_AMPLIFIER_TOLERANCE]) : -(double)INFINITY,
          -hardware->pole_least_Hz},
         {to_hardware(n[TD_CFG_OVER_CURRENT] * n[TD_CFG_CURRENT_LIMIT_A], monitor), hardware->over_current_A},
-        {heated ? n[TD_CFG_COIL_LIMIT_C] : 0, heated ? hardware->limit_C : 0},
+        {heated ? n[TD_CFG_COIL_LIMIT_C] : 0, hardware->limit_C},
     };
     size_t j;
 

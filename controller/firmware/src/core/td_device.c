@@ -273,11 +273,11 @@ static reply greet(td_device *device, uint16_t sequence, uint32_t session, uint3
     /* The lease belonged to the previous session. */
     td_device_give_up(device);
     device->open = true;
+    device->uploads = false;
     device->session = session;
     device->sequence = sequence;
     device->silent_ticks = 0;
     device->lease_us = 0;
-    device->store.left = true;
     td_events_restart(&device->events);
     td_records_restart(&device->records, 0, 0, NULL, 0);
     write_hello_reply(device, nonce);

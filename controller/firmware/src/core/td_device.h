@@ -39,7 +39,7 @@ typedef struct {
     uint64_t tick; /* of the last readings */
     uint32_t dropped_frames; /* sound, but not for this session, out of order, or of no meaning; modulo 2^32 */
     td_decoder decoder;
-    bool open; /* there has been a HELLO */
+    bool open, uploads; /* there has been a HELLO; and in its session the beginning of an upload */
     uint32_t session;
     uint16_t sequence; /* of the last request */
     uint8_t reply[TD_REPLY_LIMIT];

@@ -15,8 +15,10 @@ void td_guard_start(td_guard *guard, const td_coil *coil)
 
 void td_guard_warm(td_guard *guard, const td_guard *other)
 {
-    guard->winding_C = guard->winding_C > other->winding_C ? guard->winding_C : other->winding_C;
-    guard->housing_C = guard->housing_C > other->housing_C ? guard->housing_C : other->housing_C;
+    if (other->winding_C > guard->winding_C)
+        guard->winding_C = other->winding_C;
+    if (other->housing_C > guard->housing_C)
+        guard->housing_C = other->housing_C;
 }
 
 /* Implicit midpoint: T_m = T + h/2 f(T_m) is linear in both temperatures, then T + 2 (T_m - T). */

@@ -286,6 +286,7 @@ static td_refusal begin(td_device *device, const uint8_t *body)
         return found;
     /* The servo does not use the arriving image, so this needs no hold, except that the tick may record in its memory. */
     td_records_give_back(&device->records);
+    device->uploads = true;
     hold(device, false);
     found = td_store_begin(&device->store, td_get_u32(body + TD_UPLOAD_BEGIN_LENGTH), body + TD_UPLOAD_BEGIN_SHA256);
     hold(device, true);
@@ -294,7 +295,7 @@ static td_refusal begin(td_device *device, const uint8_t *body)
 
 static td_refusal record(td_device *device, uint16_t every, uint16_t before)
 {
-    uint8_t *lent = every > 0 ? td_store_spare(&device->store) : NULL;
+    uint8_t *lent = every > 0 ? td_store_spare(&device->store, device->uploads) : NULL;
 
     td_records_restart(&device->records, every, before, lent, TD_MAX_IMAGE_BYTES);
     return td_granted;

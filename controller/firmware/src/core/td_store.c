@@ -63,9 +63,9 @@ const td_bank *td_store_bank(const td_store *store)
     return store->size > 0 ? &store->banks[store->current] : NULL;
 }
 
-uint8_t *td_store_spare(td_store *store)
+uint8_t *td_store_spare(td_store *store, bool arrives)
 {
-    if (store->left)
+    if (!arrives)
         forget(store);
     return store->length == 0 ? arriving(store) : NULL;
 }
@@ -74,7 +74,6 @@ td_refusal td_store_begin(td_store *store, uint32_t length, const uint8_t *sha25
 {
     if (length > TD_MAX_IMAGE_BYTES)
         return td_refuse(TD_REASON_TOO_LARGE, length);
-    store->left = false;
     if (length == store->length && memcmp(sha256, store->sha256, sizeof store->sha256) == 0)
         return td_granted;
     forget(store);

@@ -16,7 +16,6 @@ typedef struct {
     size_t size;         /* its size; 0 without a library */
     size_t arrived;      /* bytes of the arriving image so far */
     uint32_t length;     /* its announced length; 0 if none is arriving */
-    bool left;           /* its session is over: it may be resumed as long as nobody else wants its memory */
     uint8_t sha256[TD_HASH_BYTES];
 } td_store;
 
@@ -33,9 +32,10 @@ void td_store_configured(td_store *store, const uint8_t *sha256, const td_config
 /* Bank of the active library; NULL without one. */
 const td_bank *td_store_bank(const td_store *store);
 
-/* Memory of TD_MAX_IMAGE_BYTES that is free until an image arrives; NULL while one is arriving. An upload that was cut off
- * is forgotten: whoever does not finish it would else have little memory for records until the next start. */
-uint8_t *td_store_spare(td_store *store);
+/* Memory of TD_MAX_IMAGE_BYTES that is free until an image arrives; NULL while one is arriving in this session. Without
+ * that, what an upload left that was cut off is forgotten: whoever does not finish it would else have little memory for
+ * records until the next start. */
+uint8_t *td_store_spare(td_store *store, bool arrives);
 
 /* Begin an image; `arrived` then tells where to continue, if it was interrupted or is active already. */
 td_refusal td_store_begin(td_store *store, uint32_t length, const uint8_t *sha256);

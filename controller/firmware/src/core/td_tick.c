@@ -156,7 +156,7 @@ void td_device_step(td_device *device, const td_readings *readings, td_output *o
         correct(&device->store.config.calibration, &seen);
         /* What the servo plays must not end in the hardware's limit. A tick after each update of the hardware's estimate,
          * which takes long enough itself. */
-        if (device->ring.coil.present && device->ring.guard.count == 1)
+        if (device->ring.guard.count == 1)
             td_guard_warm(&device->servo.guard, &device->ring.guard);
         scale = device->store.config.calibration.amplifier_scale;
         device->servo.watch.hardware = device->tripped;
