@@ -21,6 +21,8 @@ from transopt.design.optimum import seek
 from transopt.design.worst import least_worst
 from transopt.problem.problem import TransientProblem
 from transopt.proof.designed import Attained, Designed, TOLERANCE_dB
+from transopt.proof.effect import free_optima
+from transopt.solvers import unlimited
 from transopt.solvers.options import SolverOptions
 from transopt.solvers.side_by_side import Search
 
@@ -92,7 +94,22 @@ def best(problem: TransientProblem, options: SolverOptions, *, objective: str) -
     """
     if problem.worst:
         return least_worst(problem, options)
-    return (yield from (intense if objective == "intensity" else seek)(problem, options))
+    if objective == "intensity":
+        return (yield from intense(problem, options))
+    designed = yield from seek(problem, options)
+    if problem.intensity == 0:
+        return designed
+    # lam is given, as by a library that is solved again; what no limit holds back is the waveform, here as well.
+    waveform = problem.without_intensity()
+    (answer,) = unlimited.solve([waveform])
+    ((_, free),) = free_optima([(waveform, answer.command)])
+    return replace(
+        designed,
+        unlimited_command=free.command,
+        floor=free.floor,
+        free_peak=free.peak,
+        unlimited_objective=free.objective,
+    )
 
 
 def _tried(lam: float, designed: Designed) -> _Tried:

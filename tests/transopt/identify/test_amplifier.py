@@ -292,5 +292,5 @@ def test_bad_records_end_in_one_line_and_write_nothing(tmp_path: Path) -> None:
         return str(result.exception)
 
     assert "turned.npz: wrong polarity: from command to current: phase" in refused("turned.npz")
-    assert refused("half.npz") == "half.npz: no column current_A; record it too"
+    assert refused("half.npz").startswith("half.npz: no column current_A; record it too")
     assert "a model file ends in .json" in refused("half.npz", tmp_path / "m.txt")
