@@ -5,14 +5,14 @@ for any cut-off. A difference equation loses digits with the square of rate over
 large at 8 Hz and 100 kHz. It also avoids loading scipy.signal, which takes a seventh of a whole `transopt solve`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from transopt.base.recursions import LinearSystem
-from transopt.base.signals import FloatArray, Signal, alike
+from transopt.base.signals import FloatArray, Signal
 
 ABREAST = 8  # courses that one call filters: as many as the widest register has numbers
 
@@ -45,27 +45,30 @@ def lowpass(x: Signal, cutoff_Hz: float) -> Signal:
     0.2 ms, two servo ticks. A cut-off at or above 0.45 of the sampling rate leaves the signal as it is:
     there is nothing left to remove.
     """
-    return lowpass_all([x], cutoff_Hz)[0]
+    courses = x.values[None]
+    found = lowpassed(courses, x.rate_Hz, cutoff_Hz)
+    return x if found is courses else x.with_values(found[0])
 
 
-def lowpass_all(signals: Sequence[Signal], cutoff_Hz: float) -> list[Signal]:
-    """`lowpass` of each signal, those of one rate and length side by side."""
+def lowpassed(courses: FloatArray, rate_Hz: float, cutoff_Hz: float) -> FloatArray:
+    """`lowpass` of each of the courses (m, n) of one rate."""
+    if cutoff_Hz >= 0.45 * rate_Hz:
+        return courses
+    low, size = _butterworth(cutoff_Hz, rate_Hz).low, courses.shape[1]
+    # Constant padding: a tap recorded without a baseline must not be continued by its mirror image.
+    # Ten time constants of the filter, so that a step at the edge has decayed inside the padding.
+    pad = min(size - 1, int(np.ceil(10 * rate_Hz / (2 * np.pi * cutoff_Hz))))
 
-    def filtered(courses: FloatArray, rate_Hz: float) -> FloatArray:
-        low, size = _butterworth(cutoff_Hz, rate_Hz).low, courses.shape[1]
-        # Constant padding: a tap recorded without a baseline must not be continued by its mirror image.
-        # Ten time constants of the filter, so that a step at the edge has decayed inside the padding.
-        pad = min(size - 1, int(np.ceil(10 * rate_Hz / (2 * np.pi * cutoff_Hz))))
-        before, after = (np.repeat(courses[:, edge], pad, axis=1) for edge in (slice(0, 1), slice(size - 1, size)))
-        courses = np.hstack([before, courses, after])
+    def filtered(some: FloatArray) -> FloatArray:
+        before, after = (np.repeat(some[:, edge], pad, axis=1) for edge in (slice(0, 1), slice(size - 1, size)))
+        some = np.hstack([before, some, after])
         for _ in range(2):
             # Forwards, then backwards, each time starting in the steady state of the first value.
-            first = courses[:, :1]
-            courses = (first + low.outputs((courses - first)[:, None])[:, 0])[:, ::-1]
-        return courses[:, pad : pad + size]
+            first = some[:, :1]
+            some = (first + low.outputs((some - first)[:, None])[:, 0])[:, ::-1]
+        return some[:, pad : pad + size]
 
-    found = iter(_side_by_side([x for x in signals if cutoff_Hz < 0.45 * x.rate_Hz], filtered))
-    return [next(found) if cutoff_Hz < 0.45 * x.rate_Hz else x for x in signals]
+    return _side_by_side(courses, filtered)
 
 
 def highpass(x: Signal, cutoff_Hz: float) -> Signal:
@@ -73,22 +76,18 @@ def highpass(x: Signal, cutoff_Hz: float) -> Signal:
 
     It is causal, so that nothing of a tap appears before its contact.
     """
-    return highpass_all([x], cutoff_Hz)[0]
+    return x.with_values(highpassed(x.values[None], x.rate_Hz, cutoff_Hz)[0])
 
 
-def highpass_all(signals: Sequence[Signal], cutoff_Hz: float) -> list[Signal]:
-    """`highpass` of each signal, those of one rate and length side by side."""
-
-    def filtered(courses: FloatArray, rate_Hz: float) -> FloatArray:
-        return _butterworth(cutoff_Hz, rate_Hz).high.outputs(courses[:, None])[:, 0]
-
-    return _side_by_side(signals, filtered)
+def highpassed(courses: FloatArray, rate_Hz: float, cutoff_Hz: float) -> FloatArray:
+    """`highpass` of each of the courses (m, n) of one rate."""
+    high = _butterworth(cutoff_Hz, rate_Hz).high
+    return _side_by_side(courses, lambda some: high.outputs(some[:, None])[:, 0])
 
 
-def _side_by_side(signals: Sequence[Signal], filtered: Callable[[FloatArray, float], FloatArray]) -> list[Signal]:
-    """Signals with the values that `filtered` makes of courses (n, K) at a rate [Hz]; `ABREAST` courses at a time."""
-    found = list(signals)
-    for numbers, courses in alike(signals, ABREAST):
-        for i, values in zip(numbers, filtered(courses, signals[numbers[0]].rate_Hz), strict=True):
-            found[i] = signals[i].with_values(np.array(values))
+def _side_by_side(courses: FloatArray, filtered: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """What `filtered` makes of courses (m, n), `ABREAST` courses at a time."""
+    found = np.empty(courses.shape)
+    for first in range(0, len(courses), ABREAST):
+        found[first : first + ABREAST] = filtered(courses[first : first + ABREAST])
     return found

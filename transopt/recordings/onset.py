@@ -10,14 +10,15 @@ from typing import NamedTuple
 import numpy as np
 
 from transopt.base.errors import InputError
-from transopt.base.filters import highpass_all
-from transopt.base.signals import FloatArray, IndexArray, Signal, alike, medians
+from transopt.base.filters import highpassed
+from transopt.base.signals import FloatArray, IndexArray, Signal, medians
 from transopt.recordings.approach import GUARD_S
 from transopt.recordings.recording import Recording
 from transopt.recordings.settings import Recordings
-from transopt.recordings.split import SLOWEST_HZ, TAPS_AT_ONCE
+from transopt.recordings.split import SLOWEST_HZ
 
 IntArray = IndexArray
+Quick = tuple[FloatArray, FloatArray]  # what a high-pass at 8 Hz leaves of a tap and of it low-passed, (n,) each
 
 AT_THE_START_S = 0.5e-3  # an onset this close to the start of the record has no baseline
 BASELINE_SAMPLES = 8  # fewest samples of a baseline
@@ -48,36 +49,49 @@ def _crossings(values: FloatArray, before: IntArray, levels: FloatArray) -> Floa
     return np.where(j < 0, 0.0, j + (levels - low) / rise)
 
 
-def find_onsets(signals: Sequence[Signal]) -> list[float]:
-    """Contact times of taps without offset and with positive polarity [s].
+def find_onsets(axis: Signal, values: FloatArray) -> FloatArray:
+    """(m,) contact times of taps (m, n) without offset and with positive polarity [s].
 
     The line through the 10 % and 30 % points (of the highest peak) of the first rise is extrapolated to zero. A
     threshold alone would be late by a part of the rise, and an error of one servo tick costs 8 %. The highest peak
     need not be the first.
+
+    Parameters
+    ----------
+    axis : a signal at their times.
     """
-    found = np.empty(len(signals))
-    for numbers, values in alike(signals, TAPS_AT_ONCE):
-        x, height = signals[numbers[0]], values.max(axis=1)
-        risen = np.argmax(values >= 0.3 * height[:, None], axis=1)
-        low, high = (x.start_s + x.dt_s * _crossings(values, risen, share * height) for share in (0.1, 0.3))
-        found[numbers] = np.maximum(low - 0.5 * (high - low), x.start_s)
-    return list(map(float, found))
+    height = values.max(axis=1)
+    risen = np.argmax(values >= 0.3 * height[:, None], axis=1)
+    low, high = (axis.start_s + axis.dt_s * _crossings(values, risen, share * height) for share in (0.1, 0.3))
+    return np.maximum(low - 0.5 * (high - low), axis.start_s)
 
 
-class Rise(NamedTuple):
-    """A tap above the level that it rises from.
+class Upright(NamedTuple):
+    """A recording less its offset, turned so that the tap is positive.
 
     Attributes
     ----------
     signal : in the recording's own time [m/s^2].
-    quick : what a high-pass at 8 Hz leaves of it and of the low-passed tap; empty for a rate too low for that.
+    highest_m_s2 : its largest value.
+    polarity : 1, or -1 if the sensor was upside down.
+    offset_m_s2 : offset that was subtracted.
+    rest_m_s2 : level from which the tap rises; relative to a stated offset, it may be the incoming acceleration.
+    is_level_known : whether a baseline or the user gives the offset.
+    notes : one sentence each.
     """
 
     signal: Signal
-    quick: tuple[Signal, ...] = ()
+    highest_m_s2: float
+    polarity: int
+    offset_m_s2: float
+    rest_m_s2: float
+    is_level_known: bool
+    notes: list[str]
 
 
-def _toe(rise: Rise, onset_s: float, noise_m_s2: float, settings: Recordings) -> tuple[float, float]:
+def _toe(
+    up: Upright, quick: Quick | None, onset_s: float, noise_m_s2: float, settings: Recordings
+) -> tuple[float, float]:
     """Find where a pulse begins, at or before its onset [s], and the share of its energy between the two.
 
     A pulse between soft bodies rises gradually, and the onset line reaches zero long after the pulse has begun.
@@ -89,12 +103,11 @@ def _toe(rise: Rise, onset_s: float, noise_m_s2: float, settings: Recordings) ->
     Its energy is that of the recorded signal less that of the noise, because a zero-phase low-pass would move part of
     a hard pulse before its onset.
     """
-    x, quick = rise
-    if not quick:
+    if quick is None:  # the rate is too low for the high-pass
         return onset_s, 0.0
-    recorded, rises = (each.values for each in quick)
+    x, (recorded, rises) = up.signal, quick
     left = noise_m_s2 * np.sqrt(min(2 * settings.time_scale * settings.lowpass_Hz / x.rate_Hz, 1.0))
-    level = max(TOE_LEVEL * float(x.values.max()), TOE_TO_NOISE * left)
+    level = max(TOE_LEVEL * (up.highest_m_s2 - up.rest_m_s2), TOE_TO_NOISE * left)
     onset = x.before(onset_s)
     first = 1 + int(np.flatnonzero(rises[:onset] < level).max(initial=-1))
     energy = recorded[first:] ** 2 - noise_m_s2**2
@@ -102,15 +115,12 @@ def _toe(rise: Rise, onset_s: float, noise_m_s2: float, settings: Recordings) ->
     return min(x.start_s + x.dt_s * first, onset_s), max(toe, 0.0) / whole if whole > 0 else 0.0
 
 
-def _turned(signals: Sequence[Signal]) -> list[Signal]:
-    """The signals less their medians, turned so that the largest deviation is positive."""
-    found = list(signals)
-    for numbers, values in alike(signals, TAPS_AT_ONCE):
-        centred = values - medians(values)[:, None]
-        peaks = centred[np.arange(len(numbers)), np.argmax(np.abs(centred), axis=1)]
-        for i, turned in zip(numbers, centred * np.sign(peaks)[:, None], strict=True):
-            found[i] = signals[i].with_values(turned)
-    return found
+def _turned(values: FloatArray) -> FloatArray:
+    """Courses (m, n) less their medians, turned so that the largest deviation is positive."""
+    centred = values - medians(values)[:, None]
+    peaks = centred[np.arange(len(values)), np.argmax(np.abs(centred), axis=1)]
+    centred *= np.sign(peaks)[:, None]
+    return centred
 
 
 def _baseline(x: Signal, onset_s: float) -> float | None:
@@ -136,35 +146,18 @@ def _polarity(values: FloatArray, settings: Recordings) -> tuple[int, list[str]]
     return (1 if high >= low else -1), notes
 
 
-class Upright(NamedTuple):
-    """A recording less its offset, turned so that the tap is positive.
-
-    Attributes
-    ----------
-    signal : in the recording's own time [m/s^2].
-    polarity : 1, or -1 if the sensor was upside down.
-    offset_m_s2 : offset that was subtracted.
-    rest_m_s2 : level from which the tap rises; relative to a stated offset, it may be the incoming acceleration.
-    is_level_known : whether a baseline or the user gives the offset.
-    notes : one sentence each.
-    """
-
-    signal: Signal
-    polarity: int
-    offset_m_s2: float
-    rest_m_s2: float
-    is_level_known: bool
-    notes: list[str]
-
-
-def uprights(recordings: Sequence[Recording], settings: Recordings) -> list[Upright]:
+def uprights(recordings: Sequence[Recording], values: FloatArray, settings: Recordings) -> list[Upright]:
     """Subtract the offsets, and turn sensors that were upside down.
+
+    Parameters
+    ----------
+    values : (m, n) accelerations of the recordings, at the same times.
 
     Raises
     ------
     InputError : nothing is above the offset.
     """
-    onsets = find_onsets(_turned([recording.acceleration for recording in recordings]))
+    onsets = find_onsets(recordings[0].acceleration, _turned(values)).tolist()
     return [_upright(recording, onset, settings) for recording, onset in zip(recordings, onsets, strict=True)]
 
 
@@ -175,67 +168,69 @@ def _upright(recording: Recording, onset_s: float, settings: Recordings) -> Upri
     notes = []
     if not is_stated and baseline is None:
         notes.append("no baseline before the onset: offset taken as 0; state recordings.offset_m_s2 if there is one")
-    polarity, more = _polarity(raw.values - offset, settings)
-    signal = Signal(raw.start_s, raw.dt_s, polarity * (raw.values - offset))
-    if not signal.values.max() > 0:
+    values = raw.values - offset
+    polarity, more = _polarity(values, settings)
+    values *= polarity
+    highest = float(values.max())
+    if not highest > 0:
         raise InputError(
             f"{recording.name}: no sample above the offset of {offset:g} m/s^2: "
             "check recordings.polarity and recordings.offset_m_s2"
         )
-    rest = 0.0 if baseline is None else polarity * (baseline - offset)
-    return Upright(signal, polarity, offset, rest, is_stated or baseline is not None, [*notes, *more])
+    rest, is_known = 0.0 if baseline is None else polarity * (baseline - offset), is_stated or baseline is not None
+    return Upright(raw.with_values(values), highest, polarity, offset, rest, is_known, [*notes, *more])
 
 
-def rises(ups: Sequence[Upright], smooth: Sequence[Signal], settings: Recordings) -> list[Rise]:
-    """The taps above the levels that they rise from.
-
-    Parameters
-    ----------
-    smooth : the signals of `ups`, low-passed.
-    """
-    slowest_Hz = settings.time_scale * SLOWEST_HZ
-    found = [Rise(up.signal.with_values(up.signal.values - up.rest_m_s2)) for up in ups]
-    fast = [i for i, rise in enumerate(found) if slowest_Hz < 0.45 * rise.signal.rate_Hz]
-    recorded = highpass_all([found[i].signal for i in fast], slowest_Hz)
-    lowpassed = [smooth[i].with_values(smooth[i].values - ups[i].rest_m_s2) for i in fast]
-    for i, *quick in zip(fast, recorded, highpass_all(lowpassed, slowest_Hz), strict=True):
-        found[i] = found[i]._replace(quick=tuple(quick))
-    return found
-
-
-def onsets_of(rises: Sequence[Rise], settings: Recordings) -> list[float]:
-    """The onsets [s] to which the rises point, or the one that is stated."""
-    if settings.onset_s != "auto":
-        return [float(settings.onset_s)] * len(rises)
-    return find_onsets([rise.signal for rise in rises])
-
-
-def contact(
-    recording: Recording, up: Upright, rise: Rise, onset: float, noise_m_s2: float, settings: Recordings
-) -> tuple[float, list[str]]:
-    """Time of contact [s], and notes; a soft pulse begins before the onset that its rise points to.
+def contacts(
+    recordings: Sequence[Recording],
+    ups: Sequence[Upright],
+    smooth: FloatArray,
+    noises_m_s2: Sequence[float],
+    settings: Recordings,
+) -> list[tuple[float, list[str]]]:
+    """Times of contact [s], each with notes; a soft pulse begins before the onset that its rise points to.
 
     Parameters
     ----------
-    rise : of this tap. onset : as `onsets_of` finds it [s]. noise_m_s2 : rms of the white noise in the recording.
+    recordings : of the taps, at the same times. smooth : (m, n) the signals of `ups`, low-passed.
+    noises_m_s2 : rms of the white noise in each.
 
     Raises
     ------
     InputError : no tap stands out of the noise, or the stated onset lies outside of the recording.
     """
+    axis, rest = ups[0].signal, np.array([up.rest_m_s2 for up in ups])[:, None]
+    risen, slowest_Hz = np.stack([up.signal.values for up in ups]) - rest, settings.time_scale * SLOWEST_HZ
+    stated = settings.onset_s
+    onsets = find_onsets(axis, risen).tolist() if stated == "auto" else [float(stated)] * len(ups)
+    quick: Sequence[Quick | None] = [None] * len(ups)
+    if slowest_Hz < 0.45 * axis.rate_Hz:
+        quick = list(zip(*(highpassed(of, axis.rate_Hz, slowest_Hz) for of in (risen, smooth - rest)), strict=True))
+    each = zip(recordings, ups, quick, onsets, noises_m_s2, strict=True)
+    return [_contact(*of, settings) for of in each]
+
+
+def _contact(
+    recording: Recording,
+    up: Upright,
+    quick: Quick | None,
+    onset: float,
+    noise_m_s2: float,
+    settings: Recordings,
+) -> tuple[float, list[str]]:
     raw, is_found, notes = recording.acceleration, settings.onset_s == "auto", list[str]()
     if not raw.start_s <= onset <= raw.end_s:
         raise InputError(
             f"{recording.name}: recordings.onset_s = {onset:g} s lies outside of the recording, {raw.start_s:g} to "
             f"{raw.end_s:g} s: state it in the file's own time, or leave it out and it is found"
         )
-    highest = float(up.signal.values.max())
+    highest = up.highest_m_s2
     if is_found and highest < LEAST_PEAK_TO_NOISE * noise_m_s2:
         raise InputError(
             f"{recording.name}: highest sample {highest:.3g} m/s^2, noise {noise_m_s2:.3g} m/s^2 rms: no tap "
             f"stands out (limit {LEAST_PEAK_TO_NOISE:g} times): record it again or state recordings.onset_s"
         )
-    begins, share = _toe(rise, onset, noise_m_s2, settings)
+    begins, share = _toe(up, quick, onset, noise_m_s2, settings)
     if share > TOE_SHARE:
         found = f"a soft pulse: {100 * share:.2g} % of its energy in the {1e3 * (onset - begins):.2g} ms before"
         if is_found:

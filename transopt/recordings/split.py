@@ -14,7 +14,7 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.filters import highpass
-from transopt.base.signals import Signal, alike, medians
+from transopt.base.signals import FloatArray, Signal, medians
 from transopt.recordings.recording import Recording
 
 PAUSE_S = 0.1  # between two taps: a rebound comes sooner and belongs to its tap; no hand taps that fast
@@ -22,7 +22,6 @@ LEAST_SHARE = 0.15  # of the highest peak: taps at 0.1 and 0.4 m/s differ by a f
 LEAST_TO_NOISE = 10.0  # times the rms of the noise: a million samples of noise peak at five times
 NORMAL_QUARTILE = 0.6744897501960817  # median of |x| of normally distributed x, in standard deviations
 START_S = 2e-3
-TAPS_AT_ONCE = 32  # taps that are examined together: their samples fit into the processor's cache
 SLOWEST_HZ = 8.0  # below it the hand moves, and turns the sensor in the earth's field
 SIGNALS = ("acceleration", "position", "force", "grip", "current", "across_1", "across_2")  # all are cut alike
 
@@ -41,7 +40,8 @@ def bounds(x: Signal) -> list[tuple[int, int]]:
     quick = highpass(x.with_values(x.values - rest), SLOWEST_HZ).values
     # A released force or a lifted stylus moves in the opposite direction of a tap.
     quick = quick * np.sign(quick[np.argmax(np.abs(quick))])
-    loud = np.flatnonzero(quick > max(LEAST_SHARE * float(quick.max()), LEAST_TO_NOISE * white_noises([x])[0]))
+    (noise,) = white_noises(x.values[None])
+    loud = np.flatnonzero(quick > max(LEAST_SHARE * float(quick.max()), LEAST_TO_NOISE * noise))
     if loud.size == 0:
         return whole
     breaks = np.flatnonzero(np.diff(loud) > PAUSE_S / x.dt_s)
@@ -50,14 +50,12 @@ def bounds(x: Signal) -> list[tuple[int, int]]:
     return list(zip([0, *cuts], [*cuts, x.values.size], strict=True))
 
 
-def white_noises(signals: Sequence[Signal]) -> list[float]:
-    """Rms of the white noise in recordings, from their differences, to which the smooth tap adds little."""
-    found = np.empty(len(signals))
-    for numbers, values in alike(signals, TAPS_AT_ONCE):
-        steps = values[:, 1:] - values[:, :-1]
-        deviations = medians(np.abs(steps - medians(steps)[:, None]))
-        found[numbers] = deviations / (NORMAL_QUARTILE * math.sqrt(2))
-    return list(map(float, found))
+def white_noises(values: FloatArray) -> list[float]:
+    """Rms of the white noise in each recording (m, n), from its differences, to which the smooth tap adds little."""
+    steps = values[:, 1:] - values[:, :-1]
+    steps -= medians(steps)[:, None]
+    found: list[float] = (medians(np.abs(steps, out=steps)) / (NORMAL_QUARTILE * math.sqrt(2))).tolist()
+    return found
 
 
 class Piece(NamedTuple):

@@ -11,16 +11,16 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.files import is_file
-from transopt.base.filters import lowpass, lowpass_all
+from transopt.base.filters import lowpass, lowpassed
 from transopt.base.shown import brief
-from transopt.base.signals import FloatArray, Signal, median
+from transopt.base.signals import FloatArray, Signal, alike, median
 from transopt.base.sizes import MOST_FILES
 from transopt.files.names import apart
 from transopt.files.unclear import Answer, UnclearError
 from transopt.files.units import read_unit
 from transopt.recordings.after_contact import pulled_back_after_s, second_hit
 from transopt.recordings.approach import GUARD_S, find_approach
-from transopt.recordings.onset import Upright, contact, onsets_of, rises, uprights
+from transopt.recordings.onset import Upright, contacts, uprights
 from transopt.recordings.plausible import HAND_M_S, implausible_grip, implausible_motion, implausible_time
 from transopt.recordings.recording import VOCABULARY, Recording, load_recording
 from transopt.recordings.settings import Recordings
@@ -30,6 +30,7 @@ from transopt.recordings.split import split, white_noises
 CLIPPED_RUN = 3  # samples; two equal ones may be chance
 ENTERED_COUNTS = 3.0  # steps of the resolution by which a signal enters or leaves its end stop
 ROUNDING = 1e-9  # of the largest value: two values that differ by less are one
+TAPS_AT_ONCE = 32  # taps that are prepared together: their samples fit into the processor's cache
 GRIPPED_S = 50e-3  # before contact: time over which the grip is averaged
 CLEAR_PEAK_TO_NOISE = 20.0  # below it noise alone may exceed the 30 % of the peak by which the onset is found
 USUAL_SPEEDS_M_S = (0.2, 0.1, 0.3, 0.05, 0.5)  # common speeds of a tapping hand
@@ -192,7 +193,7 @@ def _doubts(raw: Signal, speed_m_s: float, peak_m_s2: float, noise_m_s2: float) 
 
 
 def _speed(
-    recording: Recording, x: Signal, smooth: Signal, onset_s: float, settings: Recordings, *, is_level_known: bool
+    recording: Recording, x: Signal, smooth: FloatArray, onset_s: float, settings: Recordings, *, is_level_known: bool
 ) -> tuple[float, str, str, list[str]]:
     """Incoming speed [m/s] before any scaling and its source, why the recording cannot be a tap, and notes.
 
@@ -212,7 +213,7 @@ def _speed(
         # If no baseline gave the offset, the signal contains gravity, which the median removes.
         gravity = 0.0 if is_level_known else median(x.values)
         freed = x.with_values(x.values - gravity)
-        peak = float(smooth.values.max()) - gravity
+        peak = float(smooth.max()) - gravity
         doubtful = implausible_motion(freed, peak, onset_s, speed, settings, fitted=source == FITTED)
         notes = [*notes, *filter(None, [contradiction(recording, onset_s)])]
     return speed, source, doubtful, notes
@@ -284,26 +285,27 @@ def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
 
 
 def prepare_all(recordings: Sequence[Recording], settings: Recordings) -> list[PreparedTap]:
-    """`prepare` each recording; the filters run over all of them.
+    """`prepare` each recording, those of one time axis side by side.
 
     Raises
     ------
     InputError : as by `prepare`, for one of the recordings that are refused.
     """
-    ups = uprights(recordings, settings)
-    smooth = lowpass_all([up.signal for up in ups], settings.time_scale * settings.lowpass_Hz)
-    noises, risen = white_noises([recording.acceleration for recording in recordings]), rises(ups, smooth, settings)
-    onsets = onsets_of(risen, settings)
-    return [
-        _prepared(recording, up, low, contact(recording, up, rise, onset, noise, settings), noise, settings)
-        for recording, up, low, rise, onset, noise in zip(recordings, ups, smooth, risen, onsets, noises, strict=True)
-    ]
+    found: dict[int, PreparedTap] = {}
+    for numbers, values in alike([recording.acceleration for recording in recordings], TAPS_AT_ONCE):
+        taps = [recordings[i] for i in numbers]
+        ups, noises = uprights(taps, values, settings), white_noises(values)
+        rate_Hz, cutoff_Hz = taps[0].acceleration.rate_Hz, settings.time_scale * settings.lowpass_Hz
+        smooth = lowpassed(np.stack([up.signal.values for up in ups]), rate_Hz, cutoff_Hz)
+        each = zip(taps, ups, smooth, contacts(taps, ups, smooth, noises, settings), noises, strict=True)
+        found.update(zip(numbers, (_prepared(*of, settings) for of in each), strict=True))
+    return [found[i] for i in range(len(recordings))]
 
 
 def _prepared(
     recording: Recording,
     up: Upright,
-    smooth: Signal,
+    smooth: FloatArray,
     touched: tuple[float, list[str]],
     noise: float,
     settings: Recordings,
@@ -315,14 +317,14 @@ def _prepared(
     is_stated = settings.offset_m_s2 != "baseline"
     came = find_approach(up.signal, recording.position, onset, noise, settings.trusted_from_Hz, stated=is_stated)
     if came.acceleration is not up.signal:
-        smooth = lowpass(came.acceleration, stretch * settings.lowpass_Hz)
+        smooth = lowpass(came.acceleration, stretch * settings.lowpass_Hz).values
     offset = up.offset_m_s2 - up.polarity * came.offset_error_m_s2
     incoming, source, doubtful, unsure = _speed(
         recording, came.acceleration, smooth, onset, settings, is_level_known=up.is_level_known
     )
     factor, speed, source = _scaling(incoming, source, settings)
-    filtered = Signal((raw.start_s - onset) * stretch, raw.dt_s * stretch, factor * smooth.values)
-    peak = float(np.abs(smooth.values if np.isnan(factor) else filtered.values).max())
+    filtered = Signal((raw.start_s - onset) * stretch, raw.dt_s * stretch, factor * smooth)
+    peak = float(np.abs(smooth if np.isnan(factor) else filtered.values).max())
     pulled, hit = _hand_after_contact(recording, filtered, onset, settings)
     clipped = _clipped(raw.values, offset)
     stop = f"{clipped} samples at the end stop: the true peak is higher; use a sensor of larger range" * (clipped > 0)

@@ -435,7 +435,7 @@ class TestSoftPulses:
     def test_contact_is_where_the_pulse_begins(self, toe_s: float, noise: float) -> None:
         """The energy of the pulse is played: none of it lies before tau_0."""
         recording = self.soft(toe_s, noise)
-        steep = find_onsets([recording.acceleration])[0]
+        (steep,) = find_onsets(recording.acceleration, recording.acceleration.values[None])
         tap = prepare(recording, SETTINGS)
         assert steep == pytest.approx(0.03 + toe_s, abs=2e-4)
         assert tap.onset_s == pytest.approx(0.03, abs=1.2e-3)
