@@ -16,6 +16,7 @@ from transopt.base.signals import Signal
 # Pulling back.
 PULLED_AT_S = np.arange(50e-3, 0.111, 10e-3)  # after contact: ends of the 40 ms stretches that are judged
 HALF_S = 20e-3  # longer than the ringing of a stylus on an object in the hand
+HALVES_S = HALF_S * np.array([[2.0], [1.0], [0.0]])  # before its end: start, middle and end of a stretch
 GROWTH = 1.2  # of the outward speed from one half to the next; a speed given by the object decreases
 LEAST_SHARE = 0.2  # of the depth, returned in the second half: a braking hand has up to 0.08, a pulling one 0.3
 LEAST_COUNTS = 3.0  # encoder counts returned in the second half
@@ -36,15 +37,16 @@ def pulled_back_after_s(position: Signal, onset_s: float) -> float | None:
     position : along the surface normal, positive out of the object [m].
     onset_s : time of contact.
     """
-    t, z = position.times_s - onset_s, position.values
+    z, start_s = position.values, position.start_s - onset_s
     counts_m = LEAST_COUNTS * max(position.count, FINEST_M)
-    if position.dt_s > HALF_S / 4 or t[0] > PULLED_AT_S[0] - 2 * HALF_S:
+    if position.dt_s > HALF_S / 4 or start_s > PULLED_AT_S[0] - 2 * HALF_S:
         return None
-    ends_s = PULLED_AT_S[t[-1] >= PULLED_AT_S]
-    before, after = np.diff(np.interp(ends_s[:, None] - [2 * HALF_S, HALF_S, 0.0], t, z)).T
+    ends_s = PULLED_AT_S[position.end_s - onset_s >= PULLED_AT_S]
+    first, half, last = np.interp((ends_s - HALVES_S - start_s) / position.dt_s, np.arange(z.size), z)
+    before, after = half - first, last - half
     contact = position.until(onset_s)
     for i in np.flatnonzero((before >= 0) & (after >= np.maximum(GROWTH * before, counts_m))):
-        depth = -z[contact : np.searchsorted(t, ends_s[i], side="right")].min(initial=0.0)
+        depth = -z[contact : position.until(onset_s + ends_s[i])].min(initial=0.0)
         if after[i] >= LEAST_SHARE * depth:
             return float(ends_s[i])
     return None

@@ -155,5 +155,5 @@ def _fitted(x: Signal, position: Signal, inside: slice, onset_s: float, terms: i
     t = position.start_s + position.dt_s * np.arange(inside.start, inside.stop)
     end = x.before(t[-1]) + 1  # of the first sample after the position's last one
     moved = integral(integral(x.values[:end], x.dt_s), x.dt_s)
-    rest = position.values[inside] - np.interp(t, x.times_s[:end], moved)
+    rest = position.values[inside] - np.interp((t - x.start_s) / x.dt_s, np.arange(end), moved)
     return fitted(float(t[0]) - onset_s, position.dt_s, rest, position.count, terms)

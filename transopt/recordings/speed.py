@@ -156,7 +156,7 @@ def fitted(first_s: float, dt_s: float, z: FloatArray, count: float, terms: int)
     first_s : time of the first sample. dt_s : time step of the samples.
     terms : number of coefficients, below n.
     """
-    powers, inverse, choose, orders = _polynomials(z.size, terms)
+    powers, inverse, root, choose, orders = _polynomials(z.size, terms)
     half_s = 0.5 * dt_s * (z.size - 1)
     # The binomial theorem converts coefficients in u, from -1 to 1, into those in t = half_s (u - start).
     start = -(first_s + half_s) / half_s
@@ -164,20 +164,21 @@ def fitted(first_s: float, dt_s: float, z: FloatArray, count: float, terms: int)
     found = inverse @ z
     rest, free = z - powers @ found, z.size - terms
     scatter = max(math.sqrt(float(rest @ rest) / free), count / math.sqrt(12.0))
-    errors = two_sided(free) * scatter * np.linalg.norm(of_time @ inverse, axis=1)
+    errors = two_sided(free) * scatter * np.linalg.norm(of_time @ root, axis=1)
     return of_time @ found, errors
 
 
 @lru_cache(maxsize=8)  # taps of one rate have the same number of points
-def _polynomials(n: int, terms: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def _polynomials(n: int, terms: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Powers (n, terms) of n evenly spaced numbers from -1 to 1, and their pseudo-inverse (terms, n).
 
-    They are followed by the binomial coefficients (k over i) and the positive differences k - i of the orders
-    i (rows) and k (columns), each (terms, terms).
+    They are followed by a square root R of the latter's Gram matrix R R', the binomial coefficients (k over i) and
+    the positive differences k - i of the orders i (rows) and k (columns), each (terms, terms).
     """
     powers, j = np.vander(np.linspace(-1.0, 1.0, n), terms, increasing=True), np.arange(terms)
     choose = np.array([[math.comb(k, i) for k in range(terms)] for i in range(terms)], dtype=float)
-    return powers, np.asarray(np.linalg.pinv(powers), dtype=float), choose, np.maximum(j - j[:, None], 0)
+    inverse = np.asarray(np.linalg.pinv(powers), dtype=float)
+    return powers, inverse, np.linalg.cholesky(inverse @ inverse.T), choose, np.maximum(j - j[:, None], 0)
 
 
 @lru_cache(maxsize=64)  # taps of one rate have the same number of points
