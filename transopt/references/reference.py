@@ -205,8 +205,8 @@ class TimeAxis:
         # At least ten points per servo period, with t = 0 among them.
         self.step_s = min(grid.dt_s / 10, 1e-5)
         self.contact = math.ceil((SETTLING_S + grid.lead_s) / self.step_s)
-        # Window, tail, lost samples, ticks: all but the ticks sample r.
-        self._instants = grid.switching_times_s, grid.after_times_s, grid.before_times_s, grid.all_issue_times_s
+        # Lost samples, window and tail, evenly spaced, at which r is sampled; ticks.
+        self._instants = grid.before_times_s, grid.switching_times_s, grid.after_times_s, grid.all_issue_times_s
         self.felt_at_s = np.concatenate(self._instants[:3])
         ends = itertools.accumulate((each.size for each in self._instants), initial=0)
         self._kinds = [slice(*of) for of in itertools.pairwise(ends)]
@@ -216,7 +216,7 @@ class TimeAxis:
         return self.contact + math.ceil(max(end_s, 0.0) / self.step_s) + 2
 
     def by_kind(self, courses: FloatArray) -> list[FloatArray]:
-        """Courses (..., m) at the instants, in their order, split into window, tail, lost samples and ticks."""
+        """Courses (..., m) at the instants, in their order, split into lost samples, window, tail and ticks."""
         return [courses[..., part] for part in self._kinds]
 
     def motion(self, speed_m_s: float, grip_N: float, incoming_m_s2: float) -> FloatArray:
@@ -291,19 +291,20 @@ def build_reference(
 
     def recorded(signals: Iterable[Signal]) -> FloatArray:
         found = zip(factors, signals, shifts, strict=True)
-        mean = sum(factor * x.at(axis.felt_at_s + by) for factor, x, by in found) / len(taps)
+        first_s, count = float(axis.felt_at_s[0]), axis.felt_at_s.size
+        mean = sum(factor * x.evenly(first_s + by, grid.dt_s, count) for factor, x, by in found) / len(taps)
         return np.where(axis.felt_at_s <= end_s, mean, 0.0)
 
     felt = recorded(tap.acceleration for tap in taps)
     across = [recorded(tap.across[i] for tap in taps) for i in range(min(len(tap.across) for tap in taps))]
-    window, after, before, _ = axis.by_kind(np.stack([felt, *across]) if across else felt)
+    before, window, after, _ = axis.by_kind(np.stack([felt, *across]) if across else felt)
     incoming = float(np.mean([f * tap.incoming_acceleration_m_s2 for f, tap in zip(factors, taps, strict=True)]))
-    free, free_after, free_before, ticks = axis.by_kind(axis.motion(speed_m_s, grip_N, incoming))
+    free_before, free, free_after, ticks = axis.by_kind(axis.motion(speed_m_s, grip_N, incoming))
     return Reference(
         speed_m_s=speed_m_s,
         grip_N=grip_N,
         slow_part_known=all(tap.slow_part_known for tap in taps),
-        missing_s=max(float(axis.felt_at_s.max()) - end_s, 0.0),
+        missing_s=max(float(axis.felt_at_s[-1]) - end_s, 0.0),
         recorded_m_s2=window,
         recorded_before_m_s2=before,
         recorded_after_m_s2=after,
