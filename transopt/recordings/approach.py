@@ -99,7 +99,7 @@ def _coming(x: Signal, onset_s: float) -> slice:
 
 def _at_rest(x: Signal, position: Signal, onset_s: float, noise_m_s2: float) -> tuple[float, float, str] | None:
     """Correction to zero at rest, with its 95 % interval and source; None if the record does not begin at rest."""
-    z = position.values
+    z = position.values[: max(position.before(onset_s), 1)]
     left = np.abs(z - z[0]) > 1.5 * max(position.count, REST_M)
     leaves_s = position.start_s + position.dt_s * int(np.argmax(left)) if left.any() else position.end_s
     still = x.values[x.before(position.start_s) : x.before(min(leaves_s, onset_s) - LEAVING_S)]
@@ -153,7 +153,7 @@ def _completed(x: Signal, position: Signal | None, onset_s: float, trusted_from_
 def _fitted(x: Signal, position: Signal, inside: slice, onset_s: float, terms: int) -> tuple[FloatArray, FloatArray]:
     """Fit (`fitted`, over the time from contact) of the position minus the doubly integrated acceleration x."""
     t = position.start_s + position.dt_s * np.arange(inside.start, inside.stop)
-    end = x.before(t[-1]) + 1  # of the first sample after the position's last one
+    end = x.before(float(t[-1])) + 1  # of the first sample after the position's last one
     moved = integral(integral(x.values[:end], x.dt_s), x.dt_s)
     rest = position.values[inside] - np.interp((t - x.start_s) / x.dt_s, np.arange(end), moved)
     return fitted(float(t[0]) - onset_s, position.dt_s, rest, position.count, terms)

@@ -62,6 +62,7 @@ def find_onsets(axis: Signal, values: FloatArray) -> FloatArray:
     """
     height = values.max(axis=1)
     risen = np.argmax(values >= 0.3 * height[:, None], axis=1)
+    values = values[:, : int(risen.max()) + 1]
     low, high = (axis.start_s + axis.dt_s * _crossings(values, risen, share * height) for share in (0.1, 0.3))
     return np.maximum(low - 0.5 * (high - low), axis.start_s)
 
@@ -110,8 +111,8 @@ def _toe(
     level = max(TOE_LEVEL * (up.highest_m_s2 - up.rest_m_s2), TOE_TO_NOISE * left)
     onset = x.before(onset_s)
     first = 1 + int(np.flatnonzero(rises[:onset] < level).max(initial=-1))
-    energy = recorded[first:] ** 2 - noise_m_s2**2
-    toe, whole = float(energy[: onset - first].sum()), float(energy.sum())
+    parts = recorded[first:onset], recorded[first:]
+    toe, whole = (float(part @ part) - part.size * noise_m_s2**2 for part in parts)
     return min(x.start_s + x.dt_s * first, onset_s), max(toe, 0.0) / whole if whole > 0 else 0.0
 
 
