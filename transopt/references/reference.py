@@ -290,10 +290,9 @@ def build_reference(
     end_s = min(tap.acceleration.end_s - by for tap, by in zip(taps, shifts, strict=True))
 
     def recorded(signals: Iterable[Signal]) -> FloatArray:
-        found = zip(factors, signals, shifts, strict=True)
-        first_s, count = float(axis.felt_at_s[0]), axis.felt_at_s.size
-        mean = sum(factor * x.evenly(first_s + by, grid.dt_s, count) for factor, x, by in found) / len(taps)
-        return np.where(axis.felt_at_s <= end_s, mean, 0.0)
+        first_s, count, of = float(axis.felt_at_s[0]), axis.felt_at_s.size, zip(factors, signals, shifts, strict=True)
+        total = sum(factor * x.evenly(first_s + by, grid.dt_s, count) for factor, x, by in of)
+        return np.where(axis.felt_at_s <= end_s, total / len(taps), 0.0)
 
     felt = recorded(tap.acceleration for tap in taps)
     across = [recorded(tap.across[i] for tap in taps) for i in range(min(len(tap.across) for tap in taps))]

@@ -332,15 +332,15 @@ def build_references(
     """
     taps = prepare_all(recordings, settings)
     axis, cells, notes = TimeAxis(grid, free), list[Reference](), list[str]()
-    grouped = grip_groups([tap.recording.grip_N for tap in taps if tap.recording.grip_N is not None])
+    grips = [tap.recording.grip_N for tap in taps if tap.recording.grip_N is not None]
+    grouped = [(alike, _as_stated(float(np.mean(alike)), grips_N)) for alike in grip_groups(grips)]
     for speed, group in zip(speeds_m_s, assign(taps, speeds_m_s, settings), strict=True):
         if not grouped:
             of, factors = zip(*group, strict=True)
             cells += [build_reference(speed, grip, of, np.array(factors), axis) for grip in grips_N]
-        for alike in grouped:
+        for alike, mean in grouped:
             own = [(tap, factor) for tap, factor in group if tap.recording.grip_N in alike]
             if own:
-                mean = _as_stated(float(np.mean(alike)), grips_N)
                 of, factors = zip(*own, strict=True)
                 cells.append(build_reference(speed, mean, of, np.array(factors), axis, (mean,)))
                 if alike[-1] > alike[0]:
