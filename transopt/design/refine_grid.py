@@ -1,16 +1,18 @@
 """Add nodes to a library's grid until the blend of commands between the nodes meets a tolerance.
 
-A blend of feasible commands is feasible, but it is not the optimum. It is further from the tap, and it is weaker,
-since it adds commands that are not in phase. Its excess at (v, F) is the larger of two differences from the optimum
-solved exactly there, both played through the device of grip F:
+A blend keeps the limits of its commands on current and command, but it is not the optimum. It is further from the
+tap, and it is weaker, since it adds commands that are not in phase. Between grips it may leave a limit that depends
+on the motion, since it moves another device than theirs. Its excess at (v, F), through the device of grip F, is the
+largest of
 
-- the difference of the tap errors;
-- the missing share of amplitude, 1 - 10^(dB / 20), from the energies of both within the window, through the filter of
-  the scene's rapid term.
+- the difference of its tap error from that of the optimum solved exactly there;
+- the share of amplitude that it lacks beside that optimum, 1 - 10^(dB / 20), from the energies of both within the
+  window, through the filter of the scene's rapid term;
+- the share of a limit that depends on the motion by which it leaves it, by the stage model.
 
-A tolerance of 0.02 therefore allows 2 percentage points of tap error and 0.18 dB. An optimum of intensity does not
-have the least tap error; its blend is bounded by the second difference. References between recorded speeds come from
-`References.at`.
+A tolerance of 0.02 therefore allows 2 percentage points of tap error, 0.18 dB, and 2 % of a limit. An optimum of
+intensity does not have the least tap error; its blend is bounded by the second difference. References between
+recorded speeds come from `References.at`.
 """
 
 import itertools
@@ -28,9 +30,12 @@ from transopt.design.context import Context, Spot
 from transopt.design.design import design
 from transopt.design.entry import Entry
 from transopt.design.nodes import Interval, Nodes, Point, shares, spots
-from transopt.problem.answer import Certificate, Status
+from transopt.problem.answer import Certificate, Multipliers, Status
+from transopt.problem.limits.limit import tolerated
 from transopt.problem.objective.target import normal
+from transopt.problem.problem import TransientProblem
 from transopt.proof.continuous import Loop, accurate
+from transopt.proof.effect import Effect, boxes_of
 from transopt.proof.replay import figures_of
 from transopt.recordings.recording import Recording
 from transopt.scene.scene import Scene
@@ -62,6 +67,7 @@ class OffNode:
     optimum : tap error of the optimum solved exactly there.
     before, after : tap errors of the blends on the recorded and on the refined grid.
     before_dB, after_dB : predicted energies of both blends within the window, relative to that of the optimum.
+    before_beyond, after_beyond : share of a limit that depends on the motion by which each blend leaves it; else 0.
     spot : for an arm, the normal and posture with the largest excess; None for any other plant.
     """
 
@@ -72,20 +78,38 @@ class OffNode:
     after: float
     before_dB: float = 0.0
     after_dB: float = 0.0
+    before_beyond: float = 0.0
+    after_beyond: float = 0.0
     spot: Spot = None
 
     @property
     def excess_before(self) -> float:
-        return max(self.before - self.optimum, lacking(self.before_dB))
+        return _excess(self.before - self.optimum, self.before_dB, self.before_beyond)
 
     @property
     def excess_after(self) -> float:
-        return max(self.after - self.optimum, lacking(self.after_dB))
+        return _excess(self.after - self.optimum, self.after_dB, self.after_beyond)
 
 
 def lacking(dB: float) -> float:
     """Missing share of amplitude at a relative energy in dB; negative where the energy is larger."""
     return 1 - float(10 ** (dB / 20))
+
+
+def _excess(error: float, dB: float, beyond: float) -> float:
+    """The largest of the three differences of a blend; a limit that it keeps is none."""
+    return max(error, lacking(dB), beyond if beyond > 0 else -np.inf)
+
+
+def beyond(problem: TransientProblem, command: FloatArray) -> float:
+    """Largest share of a limit that depends on the motion by which a command (N,) leaves it; 0 if it keeps all."""
+    effect, found = Effect(problem, command), 0.0
+    for limit in problem.limits:
+        if limit.of_each_device:
+            for box in boxes_of(effect, Multipliers.zero(problem), only=limit.name):
+                over = float(box.excess.max())
+                found = max(found, over / limit.stated if over > tolerated(limit.stated) else 0.0)
+    return found
 
 
 @dataclass(frozen=True)
@@ -94,8 +118,8 @@ class Refinement:
 
     Attributes
     ----------
-    tolerance : largest excess allowed, absolute in tap error and as a share of amplitude (0.02: two percentage
-        points, 0.18 dB).
+    tolerance : largest excess allowed, absolute in tap error, as a share of amplitude and of a limit that depends
+        on the motion (0.02: two percentage points, 0.18 dB, 2 %).
     recorded, grid : the scene's own grid, and the refined one.
     points : all points tested in the cells of the refined grid, nodes included.
     shortfall : what is missing and what to do if the cap was reached first; empty if the tolerance is met.
@@ -227,10 +251,11 @@ class Errors:
         for spot, (grip, group) in itertools.product(self.places, _by_grip(missing)):
             blended = np.stack([self.blend(nodes, point, spot) for point in group])
             played, _ = self.context.stage(grip, spot).rollout(blended)
-            for point, acceleration in zip(group, played, strict=True):
+            for point, command, acceleration in zip(group, blended, played, strict=True):
                 error = self.context.yardstick.tap_error(self.context.reference(*point).target, acceleration)
-                short = lacking(self.dB(point, acceleration, spot))
-                worst = max(error - self._predicted_tap_error(point, spot), short)
+                error -= self._predicted_tap_error(point, spot)
+                left = beyond(self.optimum(point, spot).problem, command)
+                worst = _excess(error, self.dB(point, acceleration, spot), left)
                 self._excess[keys[point]] = max(worst, self._excess.get(keys[point], -np.inf))
         return {point: self._excess[key] for point, key in keys.items()}
 
@@ -268,7 +293,8 @@ class Errors:
         for j, point in enumerate(part):
             optimum, *blended = (each.tap_error for each in figures[3 * j : 3 * j + 3])
             dB = [self.dB(point, each, spot) for each in moved[3 * j + 1 : 3 * j + 3]]
-            found.append(OffNode(*point, optimum, blended[0], blended[1], dB[0], dB[1], spot))
+            left = [beyond(entries[j].problem, self.blend(nodes, point, spot)) for nodes in (before, after)]
+            found.append(OffNode(*point, optimum, blended[0], blended[1], dB[0], dB[1], left[0], left[1], spot))
         return found
 
 
@@ -344,7 +370,7 @@ def refine_grid(
 
     Parameters
     ----------
-    tolerance : largest excess, absolute in tap error and as a share of amplitude.
+    tolerance : largest excess, absolute in tap error, as a share of amplitude and of a limit.
     cap : most entries (speeds times grips) of the refined grid; reaching it is not an error but a `shortfall`.
     progress : called with the present step, the number of its optima already solved, and their total.
 

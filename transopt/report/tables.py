@@ -192,11 +192,13 @@ def refinement_summary(refinement: Refinement) -> str:
         return refinement.shortfall
     before = max(refinement.points, key=lambda p: p.excess_before)
     after = max(refinement.points, key=lambda p: p.excess_after)
+    left = max(p.after_beyond for p in refinement.points)
+    beyond = f"; blends leave a limit that depends on the motion by up to {100 * left:.2g} %" if left > 0 else ""
     return (
         f"between the nodes: {100 * after.excess_after:.2f} % above the optimum at the worst of "
         f"{len(refinement.points)} points, tolerance {100 * refinement.tolerance:g} % (grid of the scene: "
         f"{100 * before.excess_before:.2f} %); {refinement.recorded_entries} -> {refinement.entries} entries in "
-        f"{refinement.rounds} round{'' if refinement.rounds == 1 else 's'}, {refinement.elapsed_s:.1f} s"
+        f"{refinement.rounds} round{'' if refinement.rounds == 1 else 's'}, {refinement.elapsed_s:.1f} s{beyond}"
     )
 
 

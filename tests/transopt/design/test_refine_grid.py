@@ -1,10 +1,12 @@
 """Grid refinement: the error of blends between the nodes, the nodes that it adds, and what is written of them."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.linalg
 
 import problems
 from tests.benches.commands import Outcome, Terminal
@@ -133,7 +135,31 @@ class TestBetweenTheNodes:
         [alone] = replayed([problem], played.transient_command[None])
         assert point.after == pytest.approx(alone.figures.tap_error, abs=1e-9)
         moved, _ = problem.stage.rollout(played.command)
-        assert abs(problem.tap_error(moved) - point.after) > 1e-3
+        assert abs(problem.yardstick.tap_error(problem.target, moved) - point.after) > 1e-3
+
+    def test_a_limit_that_a_blend_leaves_between_grips_is_excess(self, scene: Scene) -> None:
+        """Both nodes keep the velocity's limit, their blend does not: it moves a device with another hand."""
+        limit_m_s = 0.41
+        tight = with_values(with_grid(scene, [0.4], [1.0, 5.0]), {"limits.velocity_m_s": limit_m_s})
+        taps = recordings(tight)
+        build = build_library(tight, taps)
+        [point] = build.between_nodes([(0.4, 2.0)])
+        plant, pole = tight.plant(2.0), 2 * np.pi * 1050.0
+        n = plant.order
+        flow = np.zeros((n + 2, n + 2))
+        flow[:n, :n], flow[:n, n], flow[n, n:] = plant.A, plant.B[:, 0], (-pole, pole)
+        hold, x, fastest = scipy.linalg.expm(flow * 1e-4), np.zeros(n + 1), 0.0
+        nominal_m_s = build.library.nominal_velocity_m_s[0, 0]
+        for command, own in zip(build.library.at(0.4, 2.0).command, nominal_m_s, strict=True):
+            fastest = max(fastest, abs(own + x[n // 2 : n].sum()))  # the motor's: the rates of all links
+            x = hold[:-1, :-1] @ x + hold[:-1, -1] * command
+        assert point.after_beyond == pytest.approx(fastest / limit_m_s - 1, rel=1e-2)
+        assert point.after_beyond > 5e-3
+        by_limit = replace(point, optimum=1.0, after_dB=0.0)
+        assert by_limit.excess_after == point.after_beyond
+        found = refine_grid(tight, taps, 0.05)
+        assert max(each.after_beyond for each in found.points) > 5e-3
+        assert "blends leave a limit that depends on the motion by up to" in refinement_summary(found)
 
     def test_each_point_has_its_result_in_the_order_asked(self, build: Build) -> None:
         """Points of one grip are replayed side by side; who reads them one after the other must not notice."""
