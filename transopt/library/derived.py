@@ -17,7 +17,7 @@ from transopt.problem.limits.slew import SlewLimit
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.limits.voltage import SaggingVoltageLimit, VoltageLimit
 from transopt.problem.objective.error_term import ErrorTerm
-from transopt.problem.objective.figures import FELT_Hz
+from transopt.problem.objective.figures import FELT_Hz, ROUNDING_s
 from transopt.problem.objective.weighting import bandpass
 from transopt.problem.posing import Posing
 from transopt.problem.problem import TransientProblem
@@ -53,7 +53,7 @@ def derived(posing: Posing, problems: Sequence[TransientProblem], *, warm: bool)
         "dt_s": grid.dt_s,
         "lead_s": grid.lead_s,
         "hand_over_samples": problem.hand_over_samples,
-        "intention_s": problem.intention_s,
+        "intention_s": problem.intention_s - ROUNDING_s,  # the rounding of a reader's instants moves no sample
         "amplifier": None
         if amplifier is None
         else {

@@ -53,7 +53,8 @@ META = {
         "number of commands at the end that the wall alone makes; they are zero without a wall"
     ),
     "derived.intention_s": _needed(
-        "time after contact over which the tap error is computed; the whole window of a named target"
+        "the tap error is over the instants from contact to before this time: 1 ns less than the scene's, so that no "
+        "rounding of an instant counts; for a named target 1 ns less than the window"
     ),
     "derived.amplifier": _needed("amplifier between command and plant input", "ideal: the command is the input"),
     "derived.amplifier.pole_Hz": Stated("pole of its low-pass, the frequency of -3 dB"),

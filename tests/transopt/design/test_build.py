@@ -36,6 +36,7 @@ from transopt.proof.replay import Replay
 from transopt.recordings.recording import Recording
 from transopt.recordings.tap import read_recordings
 from transopt.report.markdown import build_markdown
+from transopt.scene.builtin import load_scene
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.solvers import unlimited
@@ -418,6 +419,20 @@ def test_a_scene_that_asks_for_intensity_stores_price_and_energy(scene: Scene, t
     assert list(doubts(library)) == []
     louder = replace(library, energy_dB=library.energy_dB + 0.1)
     assert any("energy_dB says" in doubt for doubt in doubts(louder))
+
+
+@pytest.mark.parametrize(("delay_s", "stages", "lead_s"), [(37e-6, 600, 2e-4), (73e-6, 800, 3e-4)])
+def test_a_reader_counts_the_instants_of_the_window(delay_s: float, stages: int, lead_s: float) -> None:
+    """The instants that a reader adds up differ in the last bit from the end of the window, where one begins."""
+    late = {"amplifier.delay_s": delay_s, "time.stages": stages, "time.lead_s": lead_s, "time.dt_s": 1e-4}
+    library = build_library(with_values(load_scene("voice_coil_thud"), late), []).library
+    stated = library.meta["derived"]
+    tau = stated["amplifier"]["delay_s"] - stated["lead_s"] + stated["dt_s"] * np.arange(stages + 9)
+    first = (tau >= -1e-9) & (tau < stated["intention_s"])
+    assert first.sum() == (tau[:stages] >= -1e-9).sum()
+    off = (library.acceleration_m_s2 + library.free_m_s2 - library.recorded_m_s2)[0, 0, first[:stages]]
+    size = np.linalg.norm(library.recorded_m_s2[0, 0, first[:stages]])
+    assert library.tap_error[0, 0] == pytest.approx(np.linalg.norm(off) / size, rel=1e-4)
 
 
 def test_what_few_readers_ask_for_is_made_when_it_is_read(
