@@ -32,6 +32,7 @@ class Comparison:
     Attributes
     ----------
     both : node -> its row in the tables of A and of B.
+    places : node -> the entry in words.
     apart : node -> largest difference of the two commands; NaN if they are issued at different instants.
     only_first, only_second : nodes of only one of them.
     changes : (dotted path in `meta`, value in A, value in B) of all differences.
@@ -42,6 +43,7 @@ class Comparison:
     """
 
     both: dict[Node, tuple[TableRow, TableRow]]
+    places: dict[Node, str]
     apart: dict[Node, float]
     only_first: list[Node]
     only_second: list[Node]
@@ -70,6 +72,7 @@ class Comparison:
         comparable = _instants(first) == _instants(second)
         return cls(
             both={node: (first.row(*a), second.row(*b)) for node, (a, b) in there.items()},
+            places={node: first.axes.place(*a) for node, (a, _) in there.items()},
             apart={
                 node: float(np.abs(first.command[a] - second.command[b]).max()) if comparable else NAN
                 for node, (a, b) in there.items()
@@ -203,9 +206,8 @@ def comparison_summary(found: Comparison) -> str:
     change = {node: theirs.value("tap") - ours.value("tap") for node, (ours, theirs) in found.both.items()}
     if change:
         worst = max(change, key=lambda node: abs(change[node]))
-        place = worst[0] if len(worst) == 1 else f"{worst[0]} m/s and {worst[1]} N"
         points = f"{100 * change[worst]:+.2g} points" if change[worst] else "nothing"
-        sentences.append(f"tap error changes most by {points}, at {place}")
+        sentences.append(f"tap error changes most by {points}, at {found.places[worst]}")
     sentences.append(f"{_counted(len(found.changes), 'value', 'values')} stated differently")
     return "; ".join([*sentences, *claims])
 

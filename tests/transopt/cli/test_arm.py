@@ -116,6 +116,16 @@ def test_compare_reads_every_place(run: Run, library: Path) -> None:
     assert "4 entries; A and B hold the same content" in " ".join(outcome.out.split())
 
 
+def test_compare_says_at_which_place_the_error_changes_most(run: Run, library: Path, scene: Path) -> None:
+    weaker = changed(scene, "current_A = 2.5", "current_A = 1.3")
+    assert run("solve", weaker, "--no-figures", "--out", "weaker").code == 0
+    before, after = load_library(library), load_library(Path("weaker/library.npz"))
+    ig = int(np.argmax(np.abs(after.tap_error - before.tap_error)[0]))
+    normal, posture = before.axes.places[ig]
+    last = run("compare", library, "weaker/library.npz").out.splitlines()[-1]
+    assert f"at 0.2 m/s, 2 N, normal {normal}, posture {posture};" in last
+
+
 def test_commands_for_one_motor_refuse_the_library(run: Run, library: Path) -> None:
     if find_spec("starlette") is not None:  # the extra of the page
         assert_refused(run("page", library), ONE_MOTOR)

@@ -53,7 +53,7 @@ class TestCompare:
         peaks = f"{before.peak_input[0, 0]:.3f} -> {after.peak_input[0, 0]:.3f}"
         last = outcome.out.splitlines()[-1]
         assert last.startswith("1 entry in both; tap error changes most by ")
-        assert "at 0.2 m/s and 3 N" in last
+        assert "at 0.2 m/s, 3 N" in last
         text = Path("compared.md").read_text()
         for shown in (outcome.out, text):
             assert peaks in shown
