@@ -1,14 +1,14 @@
 """Add nodes to a library's grid until the blend of commands between the nodes meets a tolerance.
 
 A blend keeps the limits of its commands on current and command, but it is not the optimum. It is further from the
-tap, and it is weaker, since it adds commands that are not in phase. Between grips it may leave a limit that depends
-on the motion, since it moves another device than theirs. Its excess at (v, F), through the device of grip F, is the
-largest of
+tap, and it is weaker, since it adds commands that are not in phase. Between grips it may leave a limit on the motion,
+since it moves another device than theirs, and anywhere a limit of a user's own that is not convex. Its excess at
+(v, F), through the device of grip F, is the largest of
 
 - the difference of its tap error from that of the optimum solved exactly there;
 - the share of amplitude that it lacks beside that optimum, 1 - 10^(dB / 20), from the energies of both within the
   window, through the filter of the scene's rapid term;
-- the share of a limit that depends on the motion by which it leaves it, by the stage model.
+- the share of a limit by which it leaves it, by the stage model.
 
 A tolerance of 0.02 therefore allows 2 percentage points of tap error, 0.18 dB, and 2 % of a limit. An optimum of
 intensity does not have the least tap error; its blend is bounded by the second difference. References between
@@ -67,7 +67,7 @@ class OffNode:
     optimum : tap error of the optimum solved exactly there.
     before, after : tap errors of the blends on the recorded and on the refined grid.
     before_dB, after_dB : predicted energies of both blends within the window, relative to that of the optimum.
-    before_beyond, after_beyond : share of a limit that depends on the motion by which each blend leaves it; else 0.
+    before_beyond, after_beyond : share of a limit by which each blend leaves it; 0 if it keeps all.
     spot : for an arm, the normal and posture with the largest excess; None for any other plant.
     """
 
@@ -102,14 +102,10 @@ def _excess(error: float, dB: float, beyond: float) -> float:
 
 
 def beyond(problem: TransientProblem, command: FloatArray) -> float:
-    """Largest share of a limit that depends on the motion by which a command (N,) leaves it; 0 if it keeps all."""
-    effect, found = Effect(problem, command), 0.0
-    for limit in problem.limits:
-        if limit.of_each_device:
-            for box in boxes_of(effect, Multipliers.zero(problem), only=limit.name):
-                over = float(box.excess.max())
-                found = max(found, over / limit.stated if over > tolerated(limit.stated) else 0.0)
-    return found
+    """Largest share of a limit by which a command (N,) leaves it; 0 if it keeps all."""
+    boxes = boxes_of(Effect(problem, command), Multipliers.zero(problem))
+    over = ((float(box.excess.max()), box.limit.stated) for box in boxes)
+    return max((excess / limit for excess, limit in over if excess > tolerated(limit)), default=0.0)
 
 
 @dataclass(frozen=True)
@@ -118,8 +114,8 @@ class Refinement:
 
     Attributes
     ----------
-    tolerance : largest excess allowed, absolute in tap error, as a share of amplitude and of a limit that depends
-        on the motion (0.02: two percentage points, 0.18 dB, 2 %).
+    tolerance : largest excess allowed, absolute in tap error, as a share of amplitude and of a limit (0.02: two
+        percentage points, 0.18 dB, 2 %).
     recorded, grid : the scene's own grid, and the refined one.
     points : all points tested in the cells of the refined grid, nodes included.
     shortfall : what is missing and what to do if the cap was reached first; empty if the tolerance is met.

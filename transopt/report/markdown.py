@@ -59,7 +59,7 @@ def _between_lines(refinement: Refinement) -> list[str]:
         *table([*head, "median excess %", "weakest dB"], rows),
         "excess: tap error of the bilinear blend of the node commands, replayed, less that of the optimum solved "
         "exactly there, or the share of amplitude that the blend lacks beside that optimum, or of a limit "
-        "that depends on the motion by which it leaves it, whichever is largest; "
+        "by which it leaves it, whichever is largest; "
         "weakest: its energy over that optimum's, where it is least. "
         f"At {len(refinement.points)} points: nodes and midpoints of the refined grid, quarter points where it errs "
         "most. `grid_error.png` shows it, where figures are drawn.",

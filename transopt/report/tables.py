@@ -193,7 +193,7 @@ def refinement_summary(refinement: Refinement) -> str:
     before = max(refinement.points, key=lambda p: p.excess_before)
     after = max(refinement.points, key=lambda p: p.excess_after)
     left = max(p.after_beyond for p in refinement.points)
-    beyond = f"; blends leave a limit that depends on the motion by up to {100 * left:.2g} %" if left > 0 else ""
+    beyond = f"; blends leave a limit by up to {100 * left:.2g} %" if left > 0 else ""
     return (
         f"between the nodes: {100 * after.excess_after:.2f} % above the optimum at the worst of "
         f"{len(refinement.points)} points, tolerance {100 * refinement.tolerance:g} % (grid of the scene: "

@@ -111,6 +111,20 @@ class TestTolerance:
         assert max(abs(p.excess_after) for p in nodes) <= rounding
 
 
+def fastest_m_s(build: Build) -> float:
+    """Largest speed of the motor at an instant of the blend at 0.4 m/s and 2 N, by matrix exponentials."""
+    plant, pole = build.scene.plant(2.0), 2 * np.pi * 1050.0
+    n = plant.order
+    flow = np.zeros((n + 2, n + 2))
+    flow[:n, :n], flow[:n, n], flow[n, n:] = plant.A, plant.B[:, 0], (-pole, pole)
+    hold, x, fastest = scipy.linalg.expm(flow * 1e-4), np.zeros(n + 1), 0.0
+    nominal_m_s = build.library.nominal_velocity_m_s[0, 0]
+    for command, own in zip(build.library.at(0.4, 2.0).command, nominal_m_s, strict=True):
+        fastest = max(fastest, abs(own + x[n // 2 : n].sum()))  # the rates of all links
+        x = hold[:-1, :-1] @ x + hold[:-1, -1] * command
+    return float(fastest)
+
+
 class TestBetweenTheNodes:
     def test_optimum_and_blend_are_what_a_build_and_the_library_say(
         self, scene: Scene, taps: list[Recording], build: Build, library: Library
@@ -139,27 +153,29 @@ class TestBetweenTheNodes:
 
     def test_a_limit_that_a_blend_leaves_between_grips_is_excess(self, scene: Scene) -> None:
         """Both nodes keep the velocity's limit, their blend does not: it moves a device with another hand."""
-        limit_m_s = 0.41
-        tight = with_values(with_grid(scene, [0.4], [1.0, 5.0]), {"limits.velocity_m_s": limit_m_s})
+        tight = with_values(with_grid(scene, [0.4], [1.0, 5.0]), {"limits.velocity_m_s": 0.41})
         taps = recordings(tight)
         build = build_library(tight, taps)
         [point] = build.between_nodes([(0.4, 2.0)])
-        plant, pole = tight.plant(2.0), 2 * np.pi * 1050.0
-        n = plant.order
-        flow = np.zeros((n + 2, n + 2))
-        flow[:n, :n], flow[:n, n], flow[n, n:] = plant.A, plant.B[:, 0], (-pole, pole)
-        hold, x, fastest = scipy.linalg.expm(flow * 1e-4), np.zeros(n + 1), 0.0
-        nominal_m_s = build.library.nominal_velocity_m_s[0, 0]
-        for command, own in zip(build.library.at(0.4, 2.0).command, nominal_m_s, strict=True):
-            fastest = max(fastest, abs(own + x[n // 2 : n].sum()))  # the motor's: the rates of all links
-            x = hold[:-1, :-1] @ x + hold[:-1, -1] * command
-        assert point.after_beyond == pytest.approx(fastest / limit_m_s - 1, rel=1e-2)
+        assert point.after_beyond == pytest.approx(fastest_m_s(build) / 0.41 - 1, rel=1e-2)
         assert point.after_beyond > 5e-3
         by_limit = replace(point, optimum=1.0, after_dB=0.0)
         assert by_limit.excess_after == point.after_beyond
         found = refine_grid(tight, taps, 0.05)
         assert max(each.after_beyond for each in found.points) > 5e-3
-        assert "blends leave a limit that depends on the motion by up to" in refinement_summary(found)
+        assert "blends leave a limit by up to" in refinement_summary(found)
+
+    def test_a_limit_of_a_users_own_that_a_blend_leaves_counts_too(self, tmp_path: Path) -> None:
+        """Stated at the switching instants alone, so that the designs are others than under the built-in limit."""
+        law = 'to.own_limit("v", "m/s", lambda s: s.velocity, lower=-0.41)'
+        (tmp_path / "own.py").write_text(f"import transopt as to\nLIMITS = [{law}]\n")
+        text = problems.scene_path("wood_on_foam").read_text().replace("beta = 3.2", 'own = ["own.py"]\nbeta = 3.2')
+        (tmp_path / "own.toml").write_text(text)
+        own = with_grid(load_scene(str(tmp_path / "own.toml")), [0.4], [1.0, 5.0])
+        build = build_library(own, recordings(own))
+        [point] = build.between_nodes([(0.4, 2.0)])
+        assert point.after_beyond == pytest.approx(fastest_m_s(build) / 0.41 - 1, rel=1e-6)
+        assert point.after_beyond > 5e-3
 
     def test_each_point_has_its_result_in_the_order_asked(self, build: Build) -> None:
         """Points of one grip are replayed side by side; who reads them one after the other must not notice."""
