@@ -139,12 +139,19 @@ def identify_coil(
     nominal = _coil_of(scene)
     (run,) = measurements([file], columns, units, rate_Hz)
     R_ohm = nominal.R_ohm if resistance_ohm is None else resistance_ohm
-    fit = fit_coil(heat_record(run, R_ohm, ripple_A), nominal)
+    record = heat_record(run, R_ohm, ripple_A)
+    fit = fit_coil(record, nominal)
     tell(fits.coil_table(fit), fits.noise_line(fit))
     if run.missing:
         tell(f"note: {run.missing}")
     part = CoilPart.model_validate(fit.content([run]))
-    finish(out, "coil", part, fits.coil_figure(fit), scene=None if scene == DEFAULT_SCENE else scene)
+    assumed = resistance_ohm is None and scene == DEFAULT_SCENE and record.told_R_ohm is None
+    note = (
+        f"taken for {R_ohm:g} ohm at 25 C, the default scene's motor, which temperatures cannot tell "
+        "(--resistance-ohm): both thermal resistances are in inverse proportion to it"
+    )
+    next_scene = None if scene == DEFAULT_SCENE else scene
+    finish(out, "coil", part, fits.coil_figure(fit), note if assumed else "", next_scene)
 
 
 def _coil_of(scene: str) -> "CoilModel":

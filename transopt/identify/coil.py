@@ -34,6 +34,7 @@ STEADY_TAU = 1.0  # least time of heating over the housing's time constant
 MOST_MISFIT = 1.5  # largest rms of the residuals over the noise, where that is white
 MANY_ROWS = 10  # in a mean, so that noise which is correlated over a few rows shows at its full size
 UNLIKE = 0.1  # correlation of two residuals that counts as none
+MOST_R_OFF = 0.08  # of the resistance from what the record tells: 20 K of copper; thermal resistances are as far off
 _CREDIBLE_K_W = (0.2, 500.0)  # thermal resistance from coil to ambient; motors of 6 mm and of 60 mm lie within
 _CREDIBLE_S = (5.0, 2e4)  # time constant of a housing
 _WIDEST = 10.0  # relative half widths above this are stated as this
@@ -105,6 +106,13 @@ class CoilFit(Fit):
             found.append(
                 f"known only {', '.join(wide)} (at most {100 * MOST_UNCERTAIN:.0f} %): {remedy}"
                 f"{'' if record.housing else ', or record the housing too (housing_C)'}"
+            )
+        told = record.told_R_ohm
+        if told is not None and abs(record.R_ohm / told[0] - 1) > MOST_R_OFF:
+            found.append(
+                f"taken for R_25 = {record.R_ohm:g} ohm, but voltage over current makes it {told[0]:.3g} ohm by "
+                f"{told[1]} (at most {100 * MOST_R_OFF:g} % apart): state --resistance-ohm {told[0]:.3g}, or record "
+                "voltage_V again, at the motor and from cold on"
             )
         most = MOST_MISFIT * self._alike_rows() ** 0.5
         if self.misfit > most:

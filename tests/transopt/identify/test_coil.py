@@ -40,6 +40,7 @@ def measured(
     truth: dict[str, float] = TRUTH,
     noise_K: float = NOISE_K,
     rest_A: float = 0.0,
+    R_ohm: float = R_OHM,
 ) -> Measurement:
     """A record of `truth`; `warm_K`: by how much the motor is above ambient at first; `rest_A`: while it cools."""
     random = np.random.default_rng(seed)
@@ -47,13 +48,13 @@ def measured(
     t = every_s * np.arange(rows)
     i = np.where((t >= 30.0) & (t < 30.0 + heating_s), current_A, rest_A)
     warm = ambient_C + warm_K
-    coil = CoilModel(R_OHM, **truth, limit_C=1e9, ambient_C=ambient_C, start_winding_C=warm, start_housing_C=warm)  # type: ignore[arg-type]
+    coil = CoilModel(R_ohm, **truth, limit_C=1e9, ambient_C=ambient_C, start_winding_C=warm, start_housing_C=warm)  # type: ignore[arg-type]
     winding, casing = coil.simulate(effective_square(i)[None, :-1], np.full(rows - 1, every_s))
 
     def noisy(values: FloatArray, deviation: float) -> Signal:
         return Signal(0.0, every_s, values + deviation * random.standard_normal(rows))
 
-    u = R_OHM * (1 + 0.0039 * (winding[0] - 25.0)) * i
+    u = R_ohm * (1 + 0.0039 * (winding[0] - 25.0)) * i
     return Measurement(
         name="heat.npz",
         source="heat.npz",
@@ -177,6 +178,41 @@ def test_a_unit_that_is_wrong_is_asked_for() -> None:
     assert any(
         "K/W is that of no such motor" in text and "current_A in A" in text for text in fitted(in_mA).shortfalls()
     )
+
+
+@pytest.mark.parametrize(
+    ("kind", "whose"),
+    [
+        ({"housing": False}, "a winding of 22 C"),
+        ({"housing": False, "ambient": True}, "a winding as cold as the ambient"),
+        ({"ambient": True}, "a winding as cold as its housing"),
+        ({"both": True}, "winding_C"),
+    ],
+)
+def test_a_resistance_that_the_voltage_contradicts_is_named_with_the_one_it_makes(
+    kind: dict[str, Any], whose: str
+) -> None:
+    """2.18 ohm for a coil of 2.5: R_wh would be 15 % too high without any misfit."""
+    both = "both" in kind
+    given: dict[str, Any] = {} if both else {"voltage": True, **kind}
+    run = measured(4, R_ohm=2.5, every_s=0.5, rest_A=0.33, **given)
+    if both:
+        run = replace(run, voltage=measured(4, R_ohm=2.5, every_s=0.5, rest_A=0.33, voltage=True).voltage)
+    (said,) = (each for each in fitted(run).shortfalls() if "voltage over current" in each)
+    made = float(re.search(rf"makes it (\S+) ohm by {whose} .*state --resistance-ohm \1,", said)[1])
+    assert made == pytest.approx(2.5, rel=0.015)
+    right = fit_coil(heat_record(run, made), NOMINAL, starts=1)
+    assert not any("voltage over current" in each for each in right.shortfalls())
+
+
+def test_a_resistance_that_nobody_stated_and_the_record_cannot_tell_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    heat = write(measured(housing=False), tmp_path / "heat.npz")
+    for stated, named in ((None, True), (R_OHM, False)):
+        identify_coil(heat, tmp_path / "MODEL.json", resistance_ohm=stated)
+        said = " ".join(capsys.readouterr().out.split())
+        assert ("taken for 2.18 ohm at 25 C, the default scene's motor" in said) is named
 
 
 def test_an_ambient_that_drifts_is_told() -> None:
