@@ -108,7 +108,7 @@ EFFECTS = {
     "soft_limit": Effect(("amplifier saturation",), device={"soft_limit": 5.0}),
     "pole": Effect(("unstated accelerometer pole",), accelerometer_Hz=1500.0, stated=False),
     "late": Effect(("read delay",), late_ticks=1),
-    "gain": Effect(("accelerometer gain",), gain=1.2),
+    "gain": Effect(("accelerometer or encoder gain",), gain=1.2),
 }
 
 

@@ -89,10 +89,11 @@ def causes_of(
                 say("read delay", "acceleration", text)
             elif one.name == "gain" and abs(one.value - 1) > 0.01:
                 text = (
-                    f"{one.value:.4g} times what the encoder says: taken for the accelerometer's gain and taken out; "
-                    "check the scales of both"
+                    f"{one.value:.4g} times what the encoder says: either is off scale, which these records cannot "
+                    f"tell; counted to the accelerometer and taken out, so if it is the encoder, the model answers a "
+                    f"current {1 / one.value:.4g} times as much as the device: check the scales of both"
                 )
-                say("accelerometer gain", "acceleration", text)
+                say("accelerometer or encoder gain", "acceleration", text)
         gain = chain.instrument.amplifier_gain
         if abs(gain - 1) > 0.02:
             text = f"{gain:.4g} A per A of command: correct the scale of the command or of the current monitor"

@@ -85,10 +85,10 @@ def test_a_nuisance_is_found_and_the_device_is_that_without_it(case: str, rig: R
 
 def test_what_was_found_is_named_with_what_to_do(runs: list[Measurement]) -> None:
     result = identify([unstated(louder(run)) for run in runs], [], SETTINGS)
-    assert result.causes == ["unstated accelerometer pole", "accelerometer gain"]
+    assert result.causes == ["unstated accelerometer pole", "accelerometer or encoder gain"]
     said = " | ".join(str(finding) for finding in result.findings)
     assert "no file states it: taken out of the records" in said
-    assert "times what the encoder says" in said
+    assert re.search(r"1\.2\d* times what the encoder says: either is off scale, .* 0\.8\d+ times as much", said)
 
 
 def test_the_drift_of_a_second_clock_is_found_and_taken_out(rig: Rig, runs: list[Measurement]) -> None:
