@@ -91,7 +91,7 @@ def plant_fit(
     undelayed = measured.response * np.exp(2j * np.pi * f * delay_s)
     fit = fit_response(f, undelayed, order, inputs[driven_by], band_Hz)
     wrong = _implausible(fit, resonance_Hz, rms_g, rms_V if driven_by == "voltage" else rms_A)
-    _refuse(response, wrong or _late(fit, delay_s), accept=accept)
+    _refuse(response, wrong or _turned(fit, measured.turned) or _late(fit, delay_s), accept=accept)
     _say_and_save(fit, f"{order} states to {fit.frequencies_Hz.size} points", measured.notes, out, delay_s)
 
 
@@ -171,6 +171,19 @@ def _implausible(fit: "ResponseFit", resonance_Hz: float | None, rms_g: float | 
         gain = abs(fit.plant.response(at_Hz)[0]) / STANDARD_GRAVITY_M_S2
         wrong = against_sheet(gain, rms_g / rms_input, f"response at {at_Hz[0]:.4g} Hz", f"g/{unit}")
     return wrong
+
+
+def _turned(fit: "ResponseFit", turned_by: str) -> str:
+    """What to state where a fit may not be used and one to the response of the other sign of the phase may."""
+    from transopt.identify.response_fit import fit_response
+
+    if fit.fit_to_design_with:
+        return ""
+    other = fit_response(fit.frequencies_Hz, fit.measured.conj(), fit.plant.order, fit.plant.driven_by)
+    if not other.fit_to_design_with:
+        return ""
+    misfits = f"{100 * fit.misfit:.2g} %, {100 * other.misfit:.2g} % with it turned"
+    return f"the phase has the other sign: misfit {misfits}; next: {turned_by}"
 
 
 def _late(fit: "ResponseFit", delay_s: float) -> str:

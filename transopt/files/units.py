@@ -3,7 +3,7 @@
 The spelling of a unit does not matter: m/s², M/S^2, m/sec**2 and m s-2 are one unit. A capital that changes the
 meaning does: MV is not a millivolt. A response has the unit of an acceleration, velocity or position over that of an
 input, g/V for example; both parts are looked up in the table. A sensor's raw reading is written with its sensitivity:
-"mV @ 100 mV/g", "counts @ 3.9 mg/count". A minus in front, "-mm" or "mV @ -100 mV/g", turns the sign of a channel.
+"mV @ 100 mV/g", "counts @ 3.9 mg/count". A minus in front, "-mm" or "-deg" or "mV @ -100 mV/g", turns the sign.
 """
 
 import math
@@ -52,7 +52,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "imaginary": {},
     "phase": {"deg": math.pi / 180, "°": math.pi / 180, "rad": 1.0},
 }
-SIGNED = ("acceleration", "velocity", "position", "force", "grip", "current")  # a minus may turn the sign of these
+SIGNED = ("acceleration", "velocity", "position", "force", "grip", "current", "phase")  # a minus turns these
 TURNED = "-"  # before a unit, for the other sign
 RATIOS = ("magnitude", "real", "imaginary")  # quantities that are an acceleration over an input
 LONGEST_UNIT = 100  # characters, of a sensor's with its sensitivity

@@ -21,7 +21,7 @@ from transopt.files.formats import read_raw, refuse_idle
 from transopt.files.names import Layout, Meaning, Vocabulary, quote
 from transopt.files.raw_table import MIN_SAMPLES, RawTable
 from transopt.files.unclear import in_file
-from transopt.files.units import INPUTS, RATIOS, parts
+from transopt.files.units import INPUTS, RATIOS, TURNED, parts
 
 LARGEST = 1e9  # m/s^2 per A or V: far above every actuator, and its square does not overflow
 WORDS = Vocabulary(
@@ -48,12 +48,14 @@ class MeasuredResponse:
     response : (m,) complex acceleration over input [m/s^2 per A or V].
     driven_by : input of the response, "current" or "voltage", if file or user state it; else empty.
     notes : what a user should know about the units, one sentence each.
+    turned : what reads the response with the other sign of its phase.
     """
 
     frequencies_Hz: FloatArray
     response: ComplexArray
     driven_by: str = ""
     notes: tuple[str, ...] = ()
+    turned: str = ""
 
     __repr__ = brief
 
@@ -99,7 +101,30 @@ def read_response(
             "it stands for the unit"
         )
     per = next(iter(meanings.values())).unit.per
-    return replace(found, driven_by=driven_by or per, notes=tuple(dict.fromkeys(filter(None, notes))))
+    driven_by, notes = driven_by or per, list(dict.fromkeys(filter(None, notes)))
+    turned = _turned(raw.meanings, INPUTS[driven_by or "current"])
+    return replace(found, driven_by=driven_by, notes=tuple(notes), turned=turned)
+
+
+def _turned(columns: Mapping[str, Meaning], per: str) -> str:
+    """What reads a response with the other sign of its phase, by the meanings of its columns.
+
+    Parameters
+    ----------
+    per : unit of the input, for parts without a unit.
+    """
+    stated = {each.quantity: each.stated for name, each in columns.items() if not name.endswith(" part)")}
+    if "phase" in stated:
+        return f"--units phase={_other(stated['phase'])}"
+    if "imaginary" in stated:
+        unit = stated["imaginary"] or f"m/s^2/{per}"
+        return f"--units real={stated['real'] or unit},imaginary={_other(unit)}"
+    return "save its complex conjugate"
+
+
+def _other(unit: str) -> str:
+    """The unit of the other sign."""
+    return unit.removeprefix(TURNED) if unit.startswith(TURNED) else f"{TURNED}{unit}"
 
 
 def _agreeing(meanings: Mapping[str, Meaning], driven_by: str) -> None:

@@ -93,6 +93,45 @@ def test_a_delay_is_no_state_and_is_taken_out(fit: Callable[..., Outcome]) -> No
     assert fit("--order", "10", "--delay-s", "4e-4").code == 0
 
 
+def test_a_phase_of_the_other_sign_is_named_with_the_unit_that_turns_it(fit: Callable[..., Outcome]) -> None:
+    measure()
+    rows = np.loadtxt("response.csv", delimiter=",", skiprows=1)
+    names = "frequency_Hz,magnitude_dB,phase_deg"
+    np.savetxt("response.csv", rows * [1, 1, -1], delimiter=",", fmt="%.15g", header=names, comments="")
+    assert_refused(fit("--order", "10"), "the phase has the other sign", "next: --units phase=-deg;")
+    outcome = fit("--order", "10", "--units", "phase=-deg")
+    assert outcome.code == 0, outcome.out + outcome.err
+    with np.load("plant.npz") as file:
+        found = to.StateSpace(*(file[name] for name in "ABCD"))
+    np.testing.assert_allclose(found.response(F_HZ), ten_states().response(F_HZ), rtol=1e-4)
+
+
+def test_a_complex_response_of_the_other_sign_is_to_be_saved_as_its_conjugate(run: Run) -> None:
+    for name, response in (
+        ("turned.npz", ten_states().response(F_HZ).conj()),
+        ("right.npz", ten_states().response(F_HZ)),
+    ):
+        np.savez(name, frequency_Hz=F_HZ, magnitude=response)
+    fit = ("--order", "10", "--out", "plant.npz", *BY_VOLTAGE)
+    assert_refused(run("plant", "fit", "turned.npz", *fit), "the other sign", "next: save its complex conjugate;")
+    assert run("plant", "fit", "right.npz", *fit).code == 0
+
+
+def test_imaginary_parts_of_the_other_sign_are_turned_too(fit: Callable[..., Outcome]) -> None:
+    order = "10"
+    G = ten_states().response(F_HZ)
+    rows = np.column_stack([F_HZ, G.real, -G.imag])
+    np.savetxt("response.csv", rows, delimiter=",", fmt="%.15g", header="frequency_Hz,real,imaginary", comments="")
+    turning = "real=m/s^2/V,imaginary=-m/s^2/V"
+    assert_refused(fit("--order", order), "the phase has the other sign", f"next: --units {turning};")
+    assert fit("--order", order, "--units", turning).code == 0
+    # Turned without need, it is turned back.
+    rows[:, 2] *= -1
+    np.savetxt("response.csv", rows, delimiter=",", fmt="%.15g", header="frequency_Hz,real,imaginary", comments="")
+    back = "--units real=m/s^2/V,imaginary=m/s^2/V;"
+    assert_refused(fit("--order", order, "--units", turning), "the phase has the other sign", back)
+
+
 def test_a_band_and_a_scale(fit: Callable[..., Outcome], run: Run) -> None:
     measure()
     outcome = fit("--order", "8", "--band-Hz", "30", "400", "--scale", "9.80665")
