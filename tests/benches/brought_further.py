@@ -124,6 +124,13 @@ def _systems() -> None:
         "HBM_CATMANEASY_DATAFILE_40\ncatman Version: 5.2\nT0 = 05.03.2024 14:11:02\n\n"
         "Time  1 - default sample rate [s]\tACC_1 [m/s²]\n" + rows(TIMES_S, TAP_M_S2, mark="\t"),
     )
+    _add(
+        "labchart.txt",
+        "Interval=\t0.0001 s\nExcelDateTime=\t4.5356591E4\t05/03/2024 14:11:02.000000\nTimeFormat=\tStartOfBlock\n"
+        "DateFormat=\t\nChannelTitle=\tAcceleration\tTrigger\nRange=\t10.000 V\t10.000 V\nUnitName=\tm/s^2\tV\n"
+        "TopValue=\t500.000\t10.000\nBottomValue=\t-500.000\t-10.000\n"
+        + rows(TIMES_S, TAP_M_S2, np.zeros(TIMES_S.size), mark="\t"),
+    )
     signals = {"values": TAP_M_S2[:, None], "label": "acc", "dimensions": 1.0}
     _add(
         "simulink.mat",

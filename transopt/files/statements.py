@@ -16,8 +16,8 @@ REMARKS: tuple[str, ...] = ("#", "*", "%", "//")
 DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # a single number contains no other comma
 # No pattern here may match one run of characters by two of its parts: it would then try all divisions of a long run.
 _STATEMENT = re.compile(r"[#*%/;\"\s]*(?P<name>[A-Za-z]\w*(?:[ -]+\w+)*)(?P<mark>[\s\":=,;]+)(?P<value>.*)")
-_UNITS_OF_VALUES = ("verticalunits", "yunitlabel", "yunits", "vunit", "units")  # as instruments call them
-_UNITS_OF_TIMES = ("horizontalunits", "xunits", "hunit")
+_UNITS_OF_VALUES = ("verticalunits", "yunitlabel", "yunits", "vunit", "units", "unitname")  # as instruments call them
+_UNITS_OF_TIMES = ("horizontalunits", "xunits", "hunit", "interval")  # LabChart: 0.001 s
 # What precedes and follows a number in a line with single blanks: an optional unit in brackets, a mark, and an
 # optional unit.
 _VALUE = (
@@ -77,8 +77,8 @@ def described(names: Sequence[str], width: int, notes: Sequence[str]) -> list[st
         if found["mark"].strip(' "')
     }
     units = next((stated[key] for key in _UNITS_OF_VALUES if key in stated), [])
-    sources = [each for key in ("source", "tracename") for each in stated.get(key, []) if each]
-    of_times = next((stated[key][0] for key in _UNITS_OF_TIMES if key in stated), "")
+    sources = [each for key in ("source", "tracename", "channeltitle") for each in stated.get(key, []) if each]
+    of_times = next((stated[key][0].rpartition(" ")[2] for key in _UNITS_OF_TIMES if key in stated), "")
     if not names and sources and width in (len(sources), len(sources) + 1):
         names = [*["TIME"] * (width - len(sources)), *sources]
     elif not names and units and width == 1:

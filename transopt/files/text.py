@@ -15,7 +15,7 @@ from transopt.files.meanings import meanings, one_clock
 from transopt.files.names import SKIPPED, Layout, Vocabulary, apart, labelled, quote, spared, with_axes
 from transopt.files.raw_table import MIN_SAMPLES, RawTable
 from transopt.files.statements import Rate, rate_of
-from transopt.files.text_rows import cells_of, delimiter_of, parted_text, with_points
+from transopt.files.text_rows import cells_of, delimiter_of, filled, parted_text, with_points
 from transopt.files.unclear import UnclearError, guesses
 from transopt.files.units import likely_units
 
@@ -56,6 +56,8 @@ def read_text(data: bytes, layout: Layout, words: Vocabulary) -> tuple[RawTable,
     if rate is not None:
         words = words.without_times()
     notes = list[str]()
+    if empty := len(data) - len(filled(data)):
+        notes.append(f"{empty} bytes at the end, zeros that a logger has not written over, are left out")
     if footer:
         notes.append(f"what stands below the numbers from {quote(footer[0])} on is left out")
     if not layout.columns:

@@ -26,6 +26,15 @@ _CONTROLS = "".join(map(chr, [*range(9), *range(14, 26), *range(28, 32)]))  # ab
 _BEYOND_ASCII = re.compile(r"[^\s,;:\"()\[\]{}]*[^\x00-\x7f\s][^\s,;:\"()\[\]{}]*")
 
 
+def filled(data: bytes) -> bytes:
+    """The whole lines before a tail of zero bytes: a logger that loses its power leaves a file's rest empty."""
+    text = data.rstrip(b"\0")
+    if 0 in text:
+        return data[: len(text) + len(text) % 2]  # of UTF-16 a last zero belongs to the text
+    ended = max(text.rfind(b"\n"), text.rfind(b"\r")) + 1
+    return text[:ended] if ended and len(text) < len(data) else data  # a number that is cut off is another number
+
+
 def encoding_of(data: bytes) -> str:
     """Name of the encoding: by the byte-order mark, the pattern of zero bytes, as UTF-8, or a code page.
 
@@ -117,7 +126,7 @@ def parted_text(data: bytes, words: Vocabulary, columns: int = 0) -> Text:
     ------
     InputError : there are no rows, or too many columns.
     """
-    header: dict[str, object] = {}
+    data, header = filled(data), dict[str, object]()
     rows, numbers, remark = _lines(data, header, words)
     if not rows:
         raise InputError(f"no rows of numbers, at least {MIN_SAMPLES} are needed; record or export it again")
@@ -306,6 +315,8 @@ def _names_above(above: list[list[str]], width: int, words: Vocabulary, told: li
     width : number of cells in a row of numbers.
     told : receives numbers in a row of units below their names, such as `Increment: 1e-4`; such columns have no rows.
     """
+    # LabChart writes `TopValue=` and such before the values of its channels.
+    above = [cells for cells in above if not (cells and cells[0].endswith("="))]
     lines = [cells for cells in above if len(cells) >= width or cells is above[-1]]
     if lines and any(map(_WHEN.search, lines[-1])):
         return []

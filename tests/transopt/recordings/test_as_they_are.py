@@ -316,6 +316,21 @@ def test_a_tail_of_nan_is_left_out_and_said_so(tmp_path: Path, pack: object) -> 
     assert recording.notes == ("the last 10 rows hold what is no number (NaN), and are left out",)
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16-le", "utf-16-be", "utf-16"])
+@pytest.mark.parametrize("zeros", [2, 4096])
+def test_a_tail_of_zero_bytes_is_left_out_and_said_so(tmp_path: Path, encoding: str, zeros: int) -> None:
+    content = f"time [s],acc [g]\n{IN_G}".encode(encoding) + bytes(zeros)
+    recording = load(tmp_path, content)
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-6)
+    assert recording.notes == (f"{zeros} bytes at the end, zeros that a logger has not written over, are left out",)
+
+
+def test_a_number_that_a_tail_of_zero_bytes_cuts_off_is_left_out(tmp_path: Path) -> None:
+    recording = load(tmp_path, f"time [s],acc [g]\n{IN_G}0.02,-1".encode() + bytes(100))
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-6)
+    assert recording.notes[0].startswith("107 bytes at the end")
+
+
 @pytest.mark.parametrize("blank", [{5}, {5, 6, 7}, set(range(100, 200)), set(range(1, 200))])
 def test_blanks_that_are_not_regular_are_named(tmp_path: Path, blank: set[int]) -> None:
     rows = [row.partition(",")[0] + "," if k in blank else row for k, row in enumerate(IN_G.split())]
