@@ -21,6 +21,7 @@ from transopt.study.plan import Plan
 from transopt.study.rows import MEASURES, SHARES, Row, entry_name, is_admitted, number
 
 SCAN = 9
+AS_NEAR = 0.01  # part by which more may be missed before one value is nearer than another
 TOLERANCE = 1e-3  # of the range, unless the user states one
 
 
@@ -207,7 +208,9 @@ class Answer:
         wanted = " and ".join(requirement.text for requirement in q.requirements)
         span = f"{q.low:g} to {q.high:g} {unit}".strip()
         if self.met is None:
-            best = min(self.tried, key=lambda tried: tried.excess)
+            enough = (1 + AS_NEAR) * min(tried.excess for tried in self.tried)
+            alike = [tried for tried in self.tried if tried.excess <= enough]
+            best = alike[-1 if q.greatest else 0]
             return [
                 f"No {q.key.path} of {len(self.tried)} tried from {span} meets {wanted} at every entry; nearest "
                 f"is {label(best.value)} {unit}: {self._entry(best)}."

@@ -74,6 +74,11 @@ class TestSearch:
         assert none.met is None
         assert "No limits.current_A of 9 tried from 1 to 6 A meets tap_error <= 10 %" in none.sentences[0]
         assert "nearest is 3.5 A" in none.sentences[0]
+        flat = dict[bool, Answer]()
+        for greatest in (False, True):
+            flat[greatest] = self.ask(scene, lambda A: max(0.2, 0.5 - A / 10) - 1e-7 * A, "1:9", greatest=greatest)
+        assert "nearest is 3.0 A" in flat[False].sentences[0], "what costs least of those that do as well"
+        assert "nearest is 9.0 A" in flat[True].sentences[0]
         every = self.ask(scene, lambda A: 0.05, "1:6")
         assert (every.met.value, every.missed, len(every.tried)) == (1.0, None, 9)
         assert "the end of the range itself" in " ".join(every.sentences)
