@@ -38,7 +38,8 @@ def plant_new(
     ] = None,
     quality: Annotated[float | None, typer.Option(help="Quality Q of that resonance, terminals open.")] = None,
     damping_N_s_m: Annotated[
-        float | None, typer.Option("--damping-N-s-m", help="Damper, in place of f0 and Q where no spring holds it.")
+        float | None,
+        typer.Option("--damping-N-s-m", help="Damper, in place of f0 and Q where there is no spring; 0: none."),
     ] = None,
     moving_mass_kg: Annotated[
         float | None, typer.Option("--moving-mass-kg", help="Moving mass; of a shaker the bare table with its coil.")

@@ -67,7 +67,10 @@ class Datasheet(Section):
         if self.resonance_Hz is not None and self.damping_N_s_m is not None:
             raise ValueError("damping_N_s_m: follows from resonance_Hz and quality: leave one or the other out")
         if self.resonance_Hz is None and self.damping_N_s_m is None:
-            raise ValueError("resonance_Hz and quality are missing; a part without a spring states damping_N_s_m")
+            raise ValueError(
+                "resonance_Hz and quality are missing; a part without a spring states damping_N_s_m: "
+                "0 is taken where no sheet has it, and leaves the friction of its guide out"
+            )
         if self.kind == "shaker" and self.case_mass_kg is not None:
             raise ValueError("case_mass_kg: a shaker's body is held; take kind = voice_coil for one that floats")
         if self.kind != "shaker" and self.payload_kg > 0:

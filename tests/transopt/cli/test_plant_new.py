@@ -175,7 +175,7 @@ def test_the_target_is_within_reach(run: Run) -> None:
         ({**LRA, "--payload-kg": 1}, ["--payload-kg: belongs to a shaker"]),
         ({**SHAKER, "--case-mass-kg": 1}, ["--case-mass-kg: a shaker's body is held"]),
         ({k: v for k, v in FLOATING.items() if k != "--quality"}, ["--resonance-Hz and quality belong together"]),
-        ({k: v for k, v in BY_CURRENT.items() if k != "--damping-N-s-m"}, ["states --damping-N-s-m"]),
+        ({k: v for k, v in BY_CURRENT.items() if k != "--damping-N-s-m"}, ["states --damping-N-s-m: 0 is taken"]),
         ({"--peak": 3}, ["--resonance-Hz, --quality, --case-mass-kg", "missing for --kind inertial", "terminal"]),
         ({"--kind": "speaker"}, ["--kind speaker: unknown; choose inertial, voice_coil, shaker"]),
         ({"--input": "force"}, ["--input force: unknown; choose voltage, current"]),
