@@ -271,7 +271,6 @@ class Session:
         upload = Upload(message, body)
         try:
             taken = upload.service(service)
-            taken.change(service.changes)
         except BaseException as error:
             upload.close()
             if not isinstance(error, AskedError):

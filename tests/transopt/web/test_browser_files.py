@@ -88,6 +88,29 @@ def test_own_taps_are_taken_and_what_is_none_is_answered_before_it_is_sent(windo
     playwright.expect(window.see("#cells .cell")).to_have_count(1)
 
 
+def test_what_is_set_stays_with_own_taps_and_after_a_reload(window: Window) -> None:
+    """The taps were designed for at the scene's 4 A while the slider showed 2.5 A."""
+
+    def agrees(limit_A: float) -> None:
+        window.rests()
+        assert window.limit() == pytest.approx(limit_A)
+        assert float(window.see("[id='of-limits.current_A-number']").input_value()) == pytest.approx(limit_A)
+
+    typed(window, "2.5")
+    window.rests()
+    window.see("#files").set_input_files(str(TAP))
+    window.says("#description", "tap_0_3_m_s.csv")
+    agrees(2.5)
+    window.tab.reload()
+    window.says("#description", "tap_0_3_m_s.csv")
+    agrees(2.5)
+    window.see("#undo").click()
+    playwright.expect(window.see("#redo")).to_be_enabled()
+    agrees(4.0)
+    window.see("#redo").click()
+    agrees(2.5)
+
+
 def test_what_a_file_leaves_open_is_chosen_from_what_was_tried_on_it(window: Window, tmp_path: Path) -> None:
     text = TAP.read_text().replace("time_s,acceleration_g,position_m", "time,acceleration,position_m")
     (tmp_path / "bare.csv").write_text(text)
@@ -150,6 +173,8 @@ def test_a_command_that_was_killed_and_started_again_finds_own_taps_in_the_brows
         window = Window(browser, first)
         window.see("#files").set_input_files(str(TAP))
         window.says("#description", "tap_0_3_m_s.csv")
+        typed(window, "2.5")
+        window.rests()
         process.kill()
     playwright.expect(window.see("#banner")).to_be_visible()
     with served(int(first.split(":")[2].split("/")[0])) as process:
@@ -157,6 +182,7 @@ def test_a_command_that_was_killed_and_started_again_finds_own_taps_in_the_brows
         window.says("#description", "tap_0_3_m_s.csv")
         window.rests()
         assert window.see("#cells .cell").count() == 1
+        assert window.limit() == pytest.approx(2.5)
         window.tab.close()
         process.kill()
 

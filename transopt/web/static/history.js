@@ -1,17 +1,37 @@
-// Steps that can be undone.
+// Steps that can be undone; this window has them still when its page is loaded again.
 
 const MOST = 100;
 const SAME_MS = 700; // key presses on one slider that follow each other so soon are one step
 
 export class History {
-  constructor(changed) {
-    this.changed = changed; // called with this when there is more or less to undo
-    this.begin({});
+  // `name` tells the scene; `shown` is called with this when there is more or less to undo.
+  constructor(what, name, shown) {
+    Object.assign(this, { name, shown });
+    this.begin(what);
+  }
+
+  changed() {
+    this.shown(this);
+    const { past, now, future } = this, name = this.name();
+    if (name) sessionStorage.setItem("steps", JSON.stringify({ name, past, now, future }));
+  }
+
+  // The steps of before, if they are those of this scene.
+  resume(name) {
+    const { name: of, ...steps } = JSON.parse(sessionStorage.getItem("steps") || "{}");
+    if (of === name) Object.assign(this, steps);
+    this.changed();
+  }
+
+  // What is set, as far as the scene has it: own taps have none between them.
+  present(scene) {
+    const set = JSON.parse(this.now);
+    return { ...set, probe: scene.between && set.probe, winding_C: scene.windings_C && set.winding_C };
   }
 
   begin(what) {
     Object.assign(this, { past: [], now: JSON.stringify(what), future: [], last: null });
-    this.changed(this);
+    this.changed();
   }
 
   // `of` is the slider, `how` as of a field.
@@ -22,14 +42,14 @@ export class History {
     if (!goesOn) this.past.push(this.now);
     this.past = this.past.slice(-MOST);
     Object.assign(this, { now: text, future: [], last: { of, how, at } });
-    this.changed(this);
+    this.changed();
   }
 
   // What the server has refused is no step.
   refuse(what) {
     if (JSON.stringify(what) === this.now && this.past.length) this.now = this.past.pop();
     this.last = null;
-    this.changed(this);
+    this.changed();
   }
 
   undo() {
@@ -45,7 +65,7 @@ export class History {
     to.push(this.now);
     this.now = from.pop();
     this.last = null;
-    this.changed(this);
+    this.changed();
     return JSON.parse(this.now);
   }
 }

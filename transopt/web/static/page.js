@@ -43,7 +43,7 @@ const wanted = new Wanted(link, (key, value) => {
   sliders.get(key)?.set(value);
   change(key, value, { resting: true, step: "typed", answers: true });
 });
-const history = new History(({ past, future }) => {
+const history = new History(NOTHING, () => state.scene?.name, ({ past, future }) => {
   by("undo").disabled = !past.length;
   by("redo").disabled = !future.length;
 });
@@ -86,7 +86,7 @@ function moves(moving) {
 
 function restore(requested) {
   if (!requested) return;
-  state.requested = requested;
+  state.requested = history.present(state.scene);
   moves(false);
   state.last = "";
   showRequested();
@@ -163,13 +163,16 @@ function opened(scene) {
     return;
   }
   if (taps.shown(scene, again && scene.name === state.scene.name)) return; // they are sent again, and come with a scene
-  const same = again && scene.name === state.scene.name;
+  const first = !state.scene, same = again && scene.name === state.scene.name;
+  const dropped = !first && scene.own.length && scene.name === state.scene.name; // what is set stays set
   Object.assign(state, { scene, places: scene.places, frame: null, resume: false });
   moves(false);
   requests.forget();
   if (!same) {
-    Object.assign(state, { requested: NOTHING, start: null, selected: scene.own.length ? 0 : scene.places.length - 1 });
-    history.begin(NOTHING);
+    Object.assign(state, { start: null, selected: scene.own.length ? 0 : scene.places.length - 1 });
+    if (first) history.resume(scene.name);
+    else if (!dropped) history.begin(NOTHING);
+    state.requested = history.present(scene);
   }
   state.accepted = NOTHING;
   document.title = `${scene.name} - transopt`;
