@@ -259,6 +259,29 @@ def test_another_scene_is_chosen_in_the_gallery(window: Window) -> None:
     window.says("#selected", "click 250 Hz")
 
 
+def test_a_gallery_that_is_closed_and_opened_while_it_loads_has_each_scene_once_with_its_own_picture(
+    window: Window,
+) -> None:
+    """Twenty scenes stood there 60 times, and pictures came under the names of others."""
+
+    def came() -> list[str]:
+        playwright.expect(window.see("#cards .came").last).not_to_have_text("...")
+        cards = window.see("#cards .card")
+        return [" ".join(text.split()) for text in cards.all_inner_texts()]
+
+    again = "() => { document.querySelector('#gallery-close').click(); document.querySelector('#scenes').click(); }"
+    window.see("#scenes").click()
+    for _ in range(5):
+        window.tab.evaluate(again)
+        window.tab.evaluate(again)
+    disturbed = came()
+    window.tab.reload()
+    window.rests()
+    window.see("#scenes").click()
+    assert disturbed == came()
+    assert len(disturbed) == len(set(disturbed))
+
+
 def test_every_word_slider_and_column_has_a_tip(window: Window) -> None:
     for group in window.see("details").all():
         group.evaluate("group => { group.open = true; }")

@@ -6,16 +6,22 @@ import { came } from "./matrix.js";
 
 export class Gallery {
   constructor(link, chosen) {
-    Object.assign(this, { link, chosen, scenes: [], waiting: [] });
+    Object.assign(this, { link, chosen, scenes: [], waiting: [], asked: false });
     by("scenes").onclick = () => {
       by("gallery").showModal();
-      if (!this.scenes.length) link.say({ type: "gallery" });
-      else this.next();
+      this.next();
     };
     by("gallery-close").onclick = () => by("gallery").close();
   }
 
+  // No answer comes any more to what was asked.
+  forget() {
+    this.asked = false;
+    this.next();
+  }
+
   listed({ scenes }) {
+    this.asked = false;
     this.scenes = scenes.map((scene) => {
       const card = made("button", { type: "button", className: "cell card" }, made("strong", { textContent: scene.name }), made("canvas"),
         made("span", { className: "came", textContent: "..." }), made("span", { textContent: scene.description }));
@@ -30,11 +36,15 @@ export class Gallery {
     this.next();
   }
 
+  // Asks for the list, then for one picture after the other: an answer is that to the one question that is open.
   next() {
-    if (this.waiting.length && by("gallery").open) this.link.say({ type: "glimpse", name: this.waiting[0].name });
+    if (this.asked || !this.link.connected || !by("gallery").open || (this.scenes.length && !this.waiting.length)) return;
+    this.asked = true;
+    this.link.say(this.scenes.length ? { type: "glimpse", name: this.waiting[0].name } : { type: "gallery" });
   }
 
   glimpsed(message, taken) {
+    this.asked = false;
     const [scene] = this.waiting.splice(0, 1);
     if (!scene) return;
     if (taken) {

@@ -135,6 +135,7 @@ function connection(connected) {
   document.body.classList.toggle("lost", !connected);
   by("banner").hidden = connected;
   requests.forget();
+  gallery.forget();
   if (connected) {
     state.resume = Boolean(state.scene);
     announce("connected");
