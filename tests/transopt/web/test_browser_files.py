@@ -111,6 +111,16 @@ def test_what_is_set_stays_with_own_taps_and_after_a_reload(window: Window) -> N
     agrees(2.5)
 
 
+def test_a_file_that_is_not_sent_ends_the_question_of_the_one_before(window: Window, tmp_path: Path) -> None:
+    text = TAP.read_text().replace("time_s,acceleration_g,position_m", "time,acceleration,position_m")
+    (tmp_path / "bare.csv").write_text(text)
+    (tmp_path / "letter.doc").write_text("Dear reader,\n")
+    window.see("#files").set_input_files(str(tmp_path / "bare.csv"))
+    window.says("#state", "your answer is needed")
+    window.see("#files").set_input_files(str(tmp_path / "letter.doc"))
+    window.says("#state", "refused")
+
+
 def test_what_a_file_leaves_open_is_chosen_from_what_was_tried_on_it(window: Window, tmp_path: Path) -> None:
     text = TAP.read_text().replace("time_s,acceleration_g,position_m", "time,acceleration,position_m")
     (tmp_path / "bare.csv").write_text(text)

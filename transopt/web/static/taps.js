@@ -74,8 +74,10 @@ export class Taps {
     const why = this.refusal(files) || (Number.isNaN(Number(speed)) ? `speed where a file states none: "${speed}" is no number: type one in m/s` : "");
     write(by("taps-answer"), why);
     by("taps-choices").replaceChildren();
-    if (why) this.complain(`Nothing was sent, and the page stays as it is. ${why}.`);
-    else this.send({ files, speed_m_s: Number(speed) || null, columns: by("columns").value, accept: by("accept").checked });
+    if (why) {
+      this.complain(`Nothing was sent, and the page stays as it is. ${why}.`);
+      this.announce("refused");
+    } else this.send({ files, speed_m_s: Number(speed) || null, columns: by("columns").value, accept: by("accept").checked });
   }
 
   async send(taps) {
