@@ -93,6 +93,7 @@ def check(
     from controller.host.check_state import Check
     from controller.host.kept import remember_pulse
     from controller.host.payload import Payload, load_playable, payload, trial_sweep
+    from controller.protocol.image import sha256
     from controller.servo.settings import Settings
     from transopt.base.signals import STANDARD_GRAVITY_M_S2
 
@@ -113,8 +114,8 @@ def check(
             sessions.load(opened, given, terminal.console())
 
         def take_measured(acceleration_m_s2: float) -> Settings:
-            remember_pulse(opened.hello.boot, acceleration_m_s2)
             anew = trial_sweep(opened.hello, None, found.device, acceleration_m_s2)
+            remember_pulse(sha256(anew.configuration), acceleration_m_s2)
             sessions.load(opened, anew, terminal.console())
             return anew.settings
 

@@ -113,7 +113,7 @@ def record_sweep(
     series = Series(
         planned,
         free_numbers(out, len(planned)),
-        lambda hello: excitation_settings(hello, library, found.device, measured_pulse(hello.boot)),
+        lambda hello: excitation_settings(hello, library, found.device, measured_pulse(hello.configuration_sha256)),
         remedy=f"--port {port}"
         + ("" if library is None else f" {library}")
         + ("" if device is None else f" --device {device}"),

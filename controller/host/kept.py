@@ -6,7 +6,7 @@ library that was uploaded from elsewhere has no name.
 Sweeps identify a device, so there may be no library yet that predicts its test pulses. The check then measures the
 acceleration per ampere with a few single pulses, and the device judges its pulses by that measurement: this checks
 the current, the sign, and that the response repeats. `record sweep` needs the same number for the same
-configuration; it is kept for one start of a device.
+configuration, by whose hash it is kept: two devices may have started equally often.
 """
 
 import os
@@ -76,14 +76,14 @@ def remember_library(library_sha256: bytes, name: str) -> None:
     LIBRARIES.remember(library_sha256.hex(), name)
 
 
-def measured_pulse(boot: int) -> float | None:
-    """Acceleration per ampere [m/s^2] measured since this start of the device; None if not measured."""
+def measured_pulse(configuration_sha256: bytes) -> float | None:
+    """Acceleration per ampere [m/s^2] by which this configuration judges pulses; None if not measured."""
     with suppress(ValueError):
-        found = float(PULSES.recall(f"{boot:08x}"))
+        found = float(PULSES.recall(configuration_sha256.hex()))
         return found if 0 < found < float("inf") else None
     return None
 
 
-def remember_pulse(boot: int, acceleration_m_s2: float) -> None:
+def remember_pulse(configuration_sha256: bytes, acceleration_m_s2: float) -> None:
     """Store a measured pulse; if it cannot be written, `record sweep` demands the check again."""
-    PULSES.remember(f"{boot:08x}", repr(acceleration_m_s2))
+    PULSES.remember(configuration_sha256.hex(), repr(acceleration_m_s2))

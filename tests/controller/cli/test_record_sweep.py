@@ -100,6 +100,21 @@ def test_check_then_trials_of_both_signs_at_the_grip_asked_for(play: Run, desk: 
     assert min(moved) > 10.0
 
 
+def test_another_device_may_be_checked_in_between(
+    play: Run, library: Library, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two devices that have started equally often, with motors of their own."""
+    first, second = (Desk(library, simulated=False) for _ in range(2))
+    second.motor = 1.05
+    for desk in (first, second):
+        desk.put(monkeypatch).asked("hold")
+        outcome = play(*CHECK)
+        assert outcome.code == 0, outcome.out + outcome.err
+    first.put(monkeypatch)
+    outcome = play(*SHORT, "--trials", 1)
+    assert outcome.code == 0, outcome.out + outcome.err
+
+
 def test_the_device_is_armed_no_longer_than_it_plays(play: Run, checked: Desk) -> None:
     armed = 0
 

@@ -48,26 +48,30 @@ def test_the_file_stays_small_and_a_damaged_one_names_nothing(file: Path) -> Non
     assert library_in_words(b"\x07" * 32) == "wood (07070707)"
 
 
-def test_a_measured_pulse_is_that_of_one_start(pulses: Path) -> None:
-    assert measured_pulse(7) is None
+HASH, OTHER = b"\xab" * 32, b"\xcd" * 32
+
+
+def test_a_measured_pulse_is_that_of_one_configuration(pulses: Path) -> None:
+    assert measured_pulse(HASH) is None
     for value in (3.0, 15.25):
-        remember_pulse(7, value)
-    assert measured_pulse(7) == pytest.approx(15.25)
-    assert measured_pulse(8) is None
+        remember_pulse(HASH, value)
+    assert measured_pulse(HASH) == pytest.approx(15.25)
+    assert measured_pulse(OTHER) is None
     assert len(pulses.read_text().splitlines()) == 1
 
 
 def test_the_pulses_stay_few_and_a_damaged_file_means_not_measured(pulses: Path) -> None:
-    for boot in range(PULSES.most + 50):
-        remember_pulse(boot, 2.0)
+    hashes = [number.to_bytes(32, "big") for number in range(PULSES.most + 50)]
+    for each in hashes:
+        remember_pulse(each, 2.0)
     assert len(pulses.read_text().splitlines()) == PULSES.most
-    assert measured_pulse(PULSES.most + 49) == pytest.approx(2.0)
-    assert measured_pulse(0) is None
-    pulses.write_text("00000001 -3.0\n00000002 many\n")
-    assert [measured_pulse(boot) for boot in (1, 2)] == [None, None]
+    assert measured_pulse(hashes[-1]) == pytest.approx(2.0)
+    assert measured_pulse(hashes[0]) is None
+    pulses.write_text(f"{HASH.hex()} -3.0\n{OTHER.hex()} many\n")
+    assert [measured_pulse(each) for each in (HASH, OTHER)] == [None, None]
     pulses.write_bytes(b"\xff\xfe")
-    assert measured_pulse(1) is None
+    assert measured_pulse(HASH) is None
     pulses.unlink()
     pulses.mkdir()
-    remember_pulse(1, 2.0)
-    assert measured_pulse(1) is None
+    remember_pulse(HASH, 2.0)
+    assert measured_pulse(HASH) is None
