@@ -3,6 +3,7 @@
 Heavy imports stand inside the commands, so that help and errors come at once.
 """
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -91,7 +92,7 @@ def check(
     from controller.device.stated import servo_numbers
     from controller.host.bringup import Result, check_skipped, check_step, drop_evidence, passed, run_steps
     from controller.host.check_state import Check
-    from controller.host.kept import remember_pulse
+    from controller.host.kept import remember_pulse, surface_is_old
     from controller.host.payload import Payload, load_playable, payload, trial_sweep
     from controller.protocol.image import sha256
     from controller.servo.settings import Settings
@@ -112,6 +113,13 @@ def check(
             given = trial_sweep(opened.hello, library, found.device)
         if given is not None:
             sessions.load(opened, given, terminal.console())
+        file, counts = found.path, found.device.encoder.surface_counts
+        if not sweep and file is not None and surface_is_old(file, counts, opened.hello.boot):
+            console.print(
+                f"{file}: the surface was measured at another start of the device, and an encoder counts from where "
+                f"it starts: transopt-play zero --port {port} --device {shlex.quote(str(file))}",
+                style="red",
+            )
 
         def take_measured(acceleration_m_s2: float) -> Settings:
             anew = trial_sweep(opened.hello, None, found.device, acceleration_m_s2)
@@ -169,6 +177,7 @@ def zero(
     """Find the surface: touch it three times; its counts go into the device file, and to the device at once."""
     from controller.cli.describe import described
     from controller.device.reading import restate
+    from controller.host.kept import remember_surface
     from controller.host.surface import IN_A_ROW, REST_S, TOUCH_LOOK_S, Touches
     from controller.servo.interface import State
 
@@ -196,5 +205,6 @@ def zero(
         if configured and opened.state is not State.FAULT:
             opened.surface(surface)
     restate(found.path, "encoder.surface_counts", surface)
+    remember_surface(found.path, surface, opened.hello.boot)
     moved = 1e3 * (surface - encoder.surface_counts) * encoder.count_m
     console.print(f"{found.path}: encoder.surface_counts = {surface:g}, {moved:+.3f} mm from before")

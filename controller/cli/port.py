@@ -300,6 +300,7 @@ def _follow(drift: "Drift", device: "Device", recorder: "Recorder", console: "Co
     """Move the surface to where the stylus has come to rest on it, on the device, in the recording, in the file."""
     from controller.device.reading import restate
     from controller.host.driver import RefusedError
+    from controller.host.kept import remember_surface
     from controller.protocol.codes import Reason
 
     moved, stored = drift.moved, ""
@@ -313,6 +314,7 @@ def _follow(drift: "Drift", device: "Device", recorder: "Recorder", console: "Co
     recorder.surface_counts = drift.surface_counts
     if file is not None:
         restate(file, "encoder.surface_counts", drift.surface_counts)
+        remember_surface(file, drift.surface_counts, device.hello.boot)
         stored = f", stored in {file}"
     console.print(
         f"the counts have drifted: three rests in a row at {moved:+.0f} counts; the surface is at "

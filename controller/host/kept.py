@@ -7,8 +7,12 @@ Sweeps identify a device, so there may be no library yet that predicts its test 
 acceleration per ampere with a few single pulses, and the device judges its pulses by that measurement: this checks
 the current, the sign, and that the response repeats. `record sweep` needs the same number for the same
 configuration, by whose hash it is kept: two devices may have started equally often.
+
+An encoder counts from where it starts, so the surface in a device file is that of one start of the device, which is
+kept here too. A surface that somebody stated by hand may hold at every start, of a device that starts at a stop.
 """
 
+import hashlib
 import os
 from contextlib import suppress
 from dataclasses import dataclass
@@ -59,7 +63,7 @@ class Kept:
                 file.write("".join(f"{key} {value}\n" for key, value in lines).encode())
 
 
-LIBRARIES, PULSES = Kept("libraries", 1000), Kept("pulses", 200)
+LIBRARIES, PULSES, SURFACES = Kept("libraries", 1000), Kept("pulses", 200), Kept("surfaces", 200)
 
 
 def library_in_words(library_sha256: bytes) -> str:
@@ -87,3 +91,18 @@ def measured_pulse(configuration_sha256: bytes) -> float | None:
 def remember_pulse(configuration_sha256: bytes, acceleration_m_s2: float) -> None:
     """Store a measured pulse; if it cannot be written, `record sweep` demands the check again."""
     PULSES.remember(configuration_sha256.hex(), repr(acceleration_m_s2))
+
+
+def _surface_in(device_file: Path, counts: float) -> str:
+    # A key has no blanks, the name of a file may have.
+    return hashlib.sha256(f"{device_file.resolve()}: {counts!r}".encode()).hexdigest()
+
+
+def remember_surface(device_file: Path, counts: float, boot: int) -> None:
+    """Store that the surface in a device file was measured at this start of the device."""
+    SURFACES.remember(_surface_in(device_file, counts), f"{boot:08x}")
+
+
+def surface_is_old(device_file: Path, counts: float, boot: int) -> bool:
+    """Whether the surface in a device file was measured at another start of the device."""
+    return SURFACES.recall(_surface_in(device_file, counts)) not in ("", f"{boot:08x}")

@@ -1,13 +1,15 @@
 """`transopt-play zero` and drift: the surface in the device file and in the device, which may refuse to move it."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from controller.cli.port import _follow
-from controller.device.reading import read_device
+from controller.device.reading import read_device, restate
 from controller.host.driver import RefusedError
+from controller.host.kept import surface_is_old
 from controller.host.surface import Drift
 from controller.protocol.codes import Reason
 from controller.servo.interface import State
@@ -15,6 +17,8 @@ from tests.benches.commands import Run, assert_refused
 from tests.benches.desk import PORT, START_M, Desk
 
 COUNT_M = 24.5e-6
+LEFT_OUT = [word for name in ("encoder", "emergency-stop", "grip-zero") for word in ("--skip", name)]
+OTHER_START = "the surface was measured at another start"
 
 
 @pytest.fixture
@@ -42,6 +46,24 @@ def test_the_surface_is_stored_with_the_owners_words(play: Run, touching: Desk) 
     assert "mine.toml: encoder.surface_counts = " in outcome.out
     assert "mm from before" in outcome.out
     assert "# datasheet" in Path("mine.toml").read_text()
+
+
+def test_a_surface_of_another_start_is_named_by_the_check(play: Run, touching: Desk) -> None:
+    """An encoder counts from where it starts: here 5 mm above where it did when the surface was measured."""
+    Path("mine.toml").write_text("[encoder]\nsurface_counts = 500.0\n")
+    check = ("check", "library.npz", *PORT, "--device", "mine.toml", *LEFT_OUT)
+    assert OTHER_START not in play(*check).out  # stated by hand: it may hold at every start
+    assert play("zero", *PORT, "--device", "mine.toml").code == 0
+    touching.obeys["hold"]()
+    touching.hand.back(touching.now_s())
+    assert OTHER_START not in play(*check).out
+    touching.restart()
+    touching.wrong = lambda seen: replace(seen, encoder_counts=seen.encoder_counts - round(5e-3 / COUNT_M))
+    outcome = play(*check)
+    assert f"mine.toml: {OTHER_START}" in outcome.out
+    assert "transopt-play zero --port desk --device mine.toml" in outcome.out
+    restate(Path("mine.toml"), "encoder.surface_counts", 0.5)
+    assert OTHER_START not in play(*check).out
 
 
 def test_without_a_file_or_without_touches_nothing_is_stored(play: Run, desk: Desk) -> None:
@@ -76,6 +98,8 @@ def test_drift_between_taps_moves_the_surface(play: Run, ready: Desk) -> None:
     moved = read_device(Path("mine.toml")).device.encoder.surface_counts
     assert moved == pytest.approx(0.3e-3 / COUNT_M, abs=3)
     assert "# mine" in Path("mine.toml").read_text()
+    boot = ready.end.look().boot
+    assert [surface_is_old(Path("mine.toml"), moved, start) for start in (boot, boot + 1)] == [False, True]
 
 
 def followed(drift: Drift, reason: Reason) -> float:
