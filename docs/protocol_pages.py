@@ -101,13 +101,13 @@ without padding, floating point is IEEE 754. `protocol_vectors.json` has one fra
 
 ## A session
 
-The host chooses a session number (not 0) and says HELLO with magic 0x{messages.MAGIC:08X}; HELLO_REPLY tells the
-device. Of another version of the protocol a device answers with its own, and the remedy is to bring host and
-firmware to one version. Each request has the sequence of the one before plus 1, modulo 2^16, and one is open at a
-time: it is answered with the same sequence, by DONE, by REFUSED with a reason, or as the table says. The same
-sequence again gets the same answer and is not carried out twice. LEASE, DATA and EVENT_ACK stand beside that:
-their sequence is not looked at. Instead the host_us of a LEASE has to grow, so that an old one that something on
-the way repeats keeps no device armed.
+The host chooses a session number (not 0, and at random: the one that is open may not be opened once more, and gets no
+answer) and says HELLO with magic 0x{messages.MAGIC:08X}; HELLO_REPLY tells the device. Of another version of the
+protocol a device answers with its own, and the remedy is to bring host and firmware to one version. Each request has
+the sequence of the one before plus 1, modulo 2^16, and one is open at a time: it is answered with the same sequence,
+by DONE, by REFUSED with a reason, or as the table says. The same sequence again gets the same answer and is not
+carried out twice. LEASE, DATA and EVENT_ACK stand beside that: their sequence is not looked at. Instead the host_us
+of a LEASE has to grow, so that an old one that something on the way repeats keeps no device armed.
 
 To play: HELLO, CONFIGURE in parts, CONFIGURE_COMMIT, UPLOAD_BEGIN, DATA (at most `upload_frames` ahead of the last
 ACK), COMMIT, then ARM, and LEASE at least every `lease_ms`. A device that is not simulated arms only with evidence
@@ -119,7 +119,8 @@ A part of CONFIGURE or DATA has at most {messages.DATA_LIMIT} bytes. Each hash i
 configuration or of the image, header included. The device returns the nonce of HELLO, so that an old answer is not
 taken for a new one. Requests and DATA that get no answer within some 0.2 s are sent again. EVENT has the session
 of the last HELLO, goes on in number over sessions, and HELLO_REPLY's `event` is the oldest that has not been
-acknowledged; EVENT_ACK names the next number that is wanted, and so acknowledges all before. A fault (event codes
+acknowledged; EVENT_ACK names the next number that is wanted, and so acknowledges all before. Events up to the tick of
+HELLO_REPLY were for the host before: its FINISHED or LEASE_LOST says nothing of this session. A fault (event codes
 from 64 on), LEASE_LOST and DISARM end the arming.
 
 ## A second host

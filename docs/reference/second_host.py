@@ -45,7 +45,7 @@ class Host:
     def __init__(self, port: str) -> None:
         self.line = serial.serial_for_url(port, timeout=0.02)
         self.session, self.sequence = random.randrange(1, 2**32), 0
-        self.arrived, self.wanted, self.leased, self.over = b"", 0, 0.0, False
+        self.arrived, self.wanted, self.opened, self.leased, self.over = b"", 0, -1, 0.0, False
 
     def send(self, kind: int, body: bytes = b"") -> None:
         payload = struct.pack("<BBHI", kind, 0, self.sequence, self.session) + body
@@ -59,7 +59,7 @@ class Host:
             if len(payload) < 12 or zlib.crc32(payload[:-4]) != int.from_bytes(payload[-4:], "little"):
                 continue
             kind, _, sequence, session = struct.unpack_from("<BBHI", payload)
-            if kind == EVENT:
+            if kind == EVENT and self.opened >= 0:  # one that came too early is sent again
                 self.event(payload[8:-4])
             elif session == self.session:
                 found.append((kind, sequence, payload[8:-4]))
@@ -69,9 +69,9 @@ class Host:
         number, tick, code, _, speed, grip, _, _ = struct.unpack("<IQBHdddd", body)
         if number == self.wanted:
             print(f"event {number} at tick {tick}: code {code}, {speed:.3f} m/s, {grip:.2f} N", flush=True)
-            self.wanted, self.over = number + 1, self.over or code == FINISHED
+            self.wanted, self.over = number + 1, self.over or (code == FINISHED and tick > self.opened)
         self.send(EVENT_ACK, struct.pack("<I", self.wanted))
-        if code >= LEASE_LOST:
+        if code >= LEASE_LOST and tick > self.opened:
             raise SystemExit(f"the device stopped with event {code}: remove its cause, then start again")
 
     def ask(self, kind: int, body: bytes = b"", answer: int = DONE) -> bytes:
@@ -95,7 +95,7 @@ class Host:
         magic, protocol = struct.unpack_from("<IH", reply.ljust(6, b"\0"))
         if (magic, protocol) != (MAGIC, PROTOCOL) or len(reply) < 95:
             raise SystemExit(f"the device speaks protocol {protocol}, this host {PROTOCOL}: {REMEDY}")
-        self.wanted = struct.unpack_from("<I", reply, 27)[0]
+        (self.wanted,), (self.opened,) = struct.unpack_from("<I", reply, 27), struct.unpack_from("<Q", reply, 47)
 
         for at in range(0, len(configuration), PART):
             self.ask(CONFIGURE, struct.pack("<I", at) + configuration[at : at + PART])

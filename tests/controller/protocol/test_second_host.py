@@ -44,6 +44,23 @@ def test_it_plays_a_tap(given: tuple[Path, Path]) -> None:
     assert "code 2," in done.stdout  # and the end of its transient
 
 
+@pytest.mark.usefixtures("patient")
+def test_what_a_host_that_died_was_not_told_is_not_about_its_successor(given: tuple[Path, Path]) -> None:
+    """One is killed while it plays: its FINISHED and LEASE_LOST wait for the next one."""
+    with served("--vouches") as (_, port):
+        command = [sys.executable, "-I", "-u", str(PROGRAM), port, *map(str, given)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as first:
+            assert first.stdout is not None
+            assert "code 1," in first.stdout.readline()
+            first.kill()
+            first.wait()
+        done = host(port, *given)
+    assert done.returncode == 0, done.stdout + done.stderr
+    told = [line.partition(": ")[2] for line in done.stdout.splitlines()]
+    assert [line.split(",")[0] for line in told[-2:]] == ["code 1", "code 2"]
+    assert any(line.startswith("code 32") for line in told[:-2])
+
+
 @pytest.mark.parametrize("which", [0, 1])
 def test_a_file_of_another_version_ends_in_one_line(given: tuple[Path, Path], which: int) -> None:
     data = bytearray(given[which].read_bytes())
