@@ -20,7 +20,7 @@ class Cause(Enum):
     NO_ANSWER = "nothing answers on this port: is the device powered, and its firmware running?"
     NOT_OURS = "not our device: it sends, but not this protocol; choose another port or flash the firmware"
     OTHER_VERSION = "the device speaks another version of the protocol: bring host and firmware to one version"
-    SILENT = "the device has fallen silent: reset or without power? Connect again; it does not arm by itself"
+    SILENT = "the device has fallen silent: reset, off or with another host? Connect again; it does not arm by itself"
     UNPLUGGED = "the connection is gone: plug the device in and connect again; it does not arm by itself"
     CLOSED = "closed by the host"
     BROKE_PROTOCOL = "the device broke the protocol: reset it, and report this"

@@ -28,8 +28,8 @@ void board_start_ticks(void);
 
 /* ---- in the tick ---- */
 
-/* A counter that never stops, not while the processor sleeps in board_wait either, and how much it counts in one servo
- * period. */
+/* A counter that goes up through all 32 bits (SysTick has 24 and goes down: every turn of it would be a late tick) and never
+ * stops, not while the processor sleeps in board_wait either, and how much it counts in one servo period. */
 uint32_t board_cycles(void);
 uint32_t board_period_cycles(void);
 
