@@ -126,6 +126,15 @@ def test_a_pulse_is_small_short_and_told() -> None:
     assert EVENT_CODES[LinkNotice.PULSE_CUT] in codes
 
 
+def test_a_stop_is_reported_to_a_host_that_said_nothing_for_long() -> None:
+    bench = Talker().ready()
+    bench.step(LINK_SILENCE_MS * 10 + 1)
+    for session, told in ((12345, []), (bench.session, [EVENT_CODES[Fault.HOST_STOP]])):
+        said = bench.put(m.EmergencyStop(), session=session)
+        assert bench.step().state is State.FAULT
+        assert [x.code for x in (*said, *bench.heard()) if isinstance(x, m.Event)] == told
+
+
 def test_emergency_stop_without_configuration_latches() -> None:
     bench = Talker()
     bench.put(m.EmergencyStop(), session=12345)

@@ -363,7 +363,6 @@ static reply renew_lease(td_device *device, uint16_t sequence, const uint8_t *bo
 /* Handle an intact frame of this session, with a valid length. */
 static reply handle(td_device *device, uint8_t kind, uint16_t sequence, const uint8_t *body, size_t size)
 {
-    device->silent_ticks = 0;
     if (kind == TD_KIND_LEASE)
         return renew_lease(device, sequence, body);
     if (kind == TD_KIND_DATA)
@@ -397,6 +396,7 @@ static reply take_payload(td_device *device, const uint8_t *payload, size_t size
     reply made = no_reply;
     uint16_t sequence;
     uint32_t session;
+    bool ours;
 
     if (size < TD_HEADER_BYTES || payload[TD_HEADER_FLAGS] != 0) {
         device->dropped_frames++;
@@ -407,16 +407,21 @@ static reply take_payload(td_device *device, const uint8_t *payload, size_t size
     session = td_get_u32(payload + TD_HEADER_SESSION);
     if (other_protocol(device, payload, size, &made))
         return made;
-    if (!fits(kind, size))
+    if (!fits(kind, size)) {
         device->dropped_frames++;
-    else if (kind == TD_KIND_EMERGENCY_STOP)
+        return no_reply;
+    }
+    if (kind == TD_KIND_HELLO)
+        return greet(device, sequence, session, td_get_u32(body + TD_HELLO_NONCE));
+    ours = device->open && session == device->session;
+    if (ours)
+        device->silent_ticks = 0;
+    if (kind == TD_KIND_EMERGENCY_STOP)
         device->stop_wanted = true;
-    else if (kind == TD_KIND_HELLO)
-        made = greet(device, sequence, session, td_get_u32(body + TD_HELLO_NONCE));
-    else if (!device->open || session != device->session)
-        device->dropped_frames++;
-    else
+    else if (ours)
         made = handle(device, kind, sequence, body, size);
+    else
+        device->dropped_frames++;
     return made;
 }
 
