@@ -106,8 +106,9 @@ def judge_design(designed: Designed, run: Replay) -> Outcome:
         # Relative to a tap of zero over the intention the error of any motion is infinite, as that of the wall alone
         # or of a tap that begins later. A window may also end before contact.
         any_motion = problem.yardstick.tap_error(problem.target, np.ones(predicted.shape[-1]))
-        whole = _numbers(designed, ("floor",)) and _numbers(proof) and _numbers(solution.multipliers)
-        whole = whole and _numbers(run, ("winding_C", "housing_C"))
+        whole = _numbers(designed, ("floor", "unlimited_objective")) and _numbers(proof)
+        whole = whole and _numbers(solution.multipliers) and _numbers(run, ("winding_C", "housing_C"))
+        whole = whole and bool(np.isnan(designed.floor) or np.isfinite(designed.unlimited_objective))
         if 0 < any_motion < np.inf:
             whole = whole and bool(np.all(np.isfinite((run.figures.tap_error, run.figures.error_after))))
             whole = whole and not np.isinf(designed.floor)

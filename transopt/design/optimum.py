@@ -312,7 +312,7 @@ def _without_limits(problems: Sequence[TransientProblem], options: SolverOptions
             if its_proof.excess <= KEPT and its_proof.relative_gap < proof.relative_gap:
                 answer, proof, effect, figures = other, its_proof, its_effect, its_figures
         if answer.status is not Status.OPTIMAL:
-            figures = figures._replace(floor=np.nan)  # unknown without a solved unlimited optimum
+            figures = figures._replace(floor=np.nan, objective=np.nan)  # unknown without a solved unlimited optimum
         found.append(_Attempt(problem, each.problem, each.left_out, answer, effect, proof, figures))
     return found
 
