@@ -275,7 +275,7 @@ def test_the_road_to_the_first_current(c_compiler: None, tmp_path: Path, monkeyp
     """To the end of the first check, where each motor but the built-in one was refused."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     checks = [line for line in commands() if "transopt-play check" in line]
-    remember_pulse(1, 15.0)  # on another device, which had started as often
+    remember_pulse(bytes(32), 15.0)  # on another device
     with chdir(tmp_path):
         walk(DEVICES["triple"], 0, commands().index(checks[0]) + 1)
         surface = read_device(Path("device.toml")).device.encoder.surface_counts
