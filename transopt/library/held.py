@@ -75,7 +75,7 @@ class Held:
         may_be_nan=True, replayed=True)
     energy: FloatArray = kept("vg", "m^2/s^4", "E, the sums of J over the target in place of the error",
         "problem.tracking.energy_m2_s4", replayed=True)
-    heat_price: FloatArray = kept("vg", "1/A^2 or 1/V^2", "price in J of the sum of i_k^2 over the window",
+    heat_price: FloatArray = kept("vg", "1/A^2", "price in J of the sum of i_k^2 over the window",
         "problem.heat_price", replayed=True)
     error_after: FloatArray = kept("vg", "",
         "|y'' + a_free - r| after the last command, relative to the target in the window", "figures.error_after",

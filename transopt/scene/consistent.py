@@ -180,6 +180,8 @@ def _check_input(scene: "Scene") -> None:
         ("feedback", scene.feedback is not None),
         ("thermal", scene.thermal != Thermal()),
         ("grid.cool_share", scene.grid.cool_share is not None),
+        # J prices the square of the input, and that of a voltage is no heat: the back-EMF is in it.
+        ("weights.heat_price", scene.weights.heat_price > 0),
     ):
         if stated:
             raise ValueError(

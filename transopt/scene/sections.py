@@ -313,7 +313,7 @@ class Weights(Section):
     plain : weight of the unfiltered error during the intention.
     rapid : filter of the rapid term: a high-pass, the band of felt vibration, or no such term.
     rapid_from_Hz : corner of that high-pass.
-    heat_price : price of the heat of the coil [1/A^2]; 0 for none.
+    heat_price : price of the squared current of a motor that a current drives [1/A^2]; 0 for none.
     after_s : duration of the tail after the waveform in which the error still counts.
     calm : factor on the weight of the error after a named target ends.
     objective : `waveform`: least error; `intensity`: least error with the required energy of the tap.

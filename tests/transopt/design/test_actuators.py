@@ -118,6 +118,7 @@ class TestScene:
             ),
             ({"limits.beta": 3.0}, "limits.beta: belongs to a motor that a current drives"),
             ({"limits.supply_V": 5.0}, "limits.supply_V: belongs to a motor"),
+            ({"weights.heat_price": 1e-4}, "weights.heat_price: belongs to a motor that a current drives"),
             ({"limits.steady_voltage_V": 4.0}, "steady_voltage_V = 4 V: above voltage_V = 3 V"),
             ({"limits.sag": [[0.0, 1.2]]}, "limits.sag: must be pairs"),
             ({"grid.grips_N": [3.0]}, "grid.grips_N: named targets are for a device that no hand holds"),
