@@ -105,7 +105,8 @@ def judge_design(designed: Designed, run: Replay) -> Outcome:
     if status is Status.OPTIMAL:
         # Relative to a tap of zero over the intention the error of any motion is infinite, as that of the wall alone
         # or of a tap that begins later. A window may also end before contact.
-        any_motion = problem.yardstick.tap_error(problem.target, np.ones(predicted.shape[-1]))
+        made = np.ones_like(designed.effect.lasting.acceleration_m_s2)
+        any_motion = problem.yardstick.tap_error(problem.target, made)
         whole = _numbers(designed, ("floor", "unlimited_objective")) and _numbers(proof)
         whole = whole and _numbers(solution.multipliers) and _numbers(run, ("winding_C", "housing_C"))
         whole = whole and bool(np.isnan(designed.floor) or np.isfinite(designed.unlimited_objective))

@@ -71,7 +71,7 @@ def intense(problem: TransientProblem, options: SolverOptions) -> Search[Designe
         asked_dB=problem.intensity_dB,
         energy_dB=found.energy_dB,
         waveform_dB=wave.energy_dB,
-        waveform_tap_error=problem.yardstick.tap_error(problem.target, first.effect.motion.acceleration_m_s2),
+        waveform_tap_error=problem.yardstick.tap_error(problem.target, first.effect.lasting.acceleration_m_s2),
         price=found.lam,
         most=most_price(problem),
         problems=problems,

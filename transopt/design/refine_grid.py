@@ -217,7 +217,7 @@ class Errors:
     def _predicted_tap_error(self, point: Point, spot: Spot) -> float:
         """Tap error of the optimum at a point, by the stage model."""
         found = self.optimum(point, spot)
-        return self.context.yardstick.tap_error(found.uncorrected, found.predicted_m_s2)
+        return self.context.yardstick.tap_error(found.uncorrected, found.lasting_m_s2)
 
     def _energy(self, acceleration_m_s2: FloatArray) -> float:
         """Energy of an acceleration (N,), or along the normal (p, N), through the filter of the rapid term."""
@@ -245,13 +245,15 @@ class Errors:
         keys = {point: (point, nodes.cell(point)) for point in points}
         missing = [point for point, key in keys.items() if key not in self._excess]
         for spot, (grip, group) in itertools.product(self.places, _by_grip(missing)):
-            blended = np.stack([self.blend(nodes, point, spot) for point in group])
-            played, _ = self.context.stage(grip, spot).rollout(blended)
-            for point, command, acceleration in zip(group, blended, played, strict=True):
+            problems = [self.optimum(point, spot).problem for point in group]
+            blended = [self.blend(nodes, point, spot) for point in group]
+            lasting = [problem.continued(command) for problem, command in zip(problems, blended, strict=True)]
+            played, _ = self.context.stage(grip, spot).rollout(np.stack(lasting))
+            for point, problem, command, acceleration in zip(group, problems, blended, played, strict=True):
                 error = self.context.yardstick.tap_error(self.context.reference(*point).target, acceleration)
                 error -= self._predicted_tap_error(point, spot)
-                left = beyond(self.optimum(point, spot).problem, command)
-                worst = _excess(error, self.dB(point, acceleration, spot), left)
+                dB = self.dB(point, acceleration[..., : command.shape[-1]], spot)
+                worst = _excess(error, dB, beyond(problem, command))
                 self._excess[keys[point]] = max(worst, self._excess.get(keys[point], -np.inf))
         return {point: self._excess[key] for point, key in keys.items()}
 

@@ -96,10 +96,10 @@ def trade_off(entry: Entry, options: SolverOptions) -> Search[TradeOff | None]:
 def _point(designed: Designed) -> TradeOffPoint:
     problem, command = designed.problem, designed.solution.command
     accelerations = problem.accelerations(command)
-    own = accelerations[0, : problem.grid.stages]
+    own = accelerations[0]
     return TradeOffPoint(
         price=problem.intensity,
         tap_error=problem.yardstick.tap_error(problem.target, own),
         energy_dB=problem.tracking.energy_dB(accelerations),
-        levels=levels(own, problem.reference_m_s2, problem.grid.dt_s),
+        levels=levels(own[: problem.grid.stages], problem.reference_m_s2, problem.grid.dt_s),
     )

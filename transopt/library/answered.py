@@ -64,9 +64,14 @@ class Answered:
         return self.designed.effect.motion.acceleration_m_s2
 
     @property
+    def lasting_m_s2(self) -> FloatArray:
+        """(N + M,) y'' of the command through the window and after it."""
+        return self.designed.effect.lasting.acceleration_m_s2
+
+    @property
     def after_m_s2(self) -> FloatArray:
         """(M,) y'' after the last command."""
-        return self.designed.effect.lasting.acceleration_m_s2[..., self.problem.grid.stages :]
+        return self.lasting_m_s2[..., self.problem.grid.stages :]
 
     @property
     def plant_input(self) -> FloatArray:
@@ -126,8 +131,7 @@ class Answered:
         """Tap error of that optimum; NaN where it was not found."""
         if self.uncorrected is self.problem.target:
             return self.designed.floor
-        free = self.problem.stage.rollout(self.unlimited_command)[0]
-        return self.problem.yardstick.tap_error(self.uncorrected, free)
+        return self._by_stage_model(self.unlimited_command)
 
     @property
     def unlimited_objective(self) -> float:
@@ -145,7 +149,12 @@ class Answered:
         """Tap error of `linear_command` on the plant at rest; NaN for a linear plant."""
         if self.linear_command is None:
             return NAN
-        return self.problem.yardstick.tap_error(self.uncorrected, self.problem.stage.rollout(self.linear_command)[0])
+        return self._by_stage_model(self.linear_command)
+
+    def _by_stage_model(self, command: FloatArray) -> float:
+        """Tap error of another command (N,) on the linear device."""
+        made_m_s2, _ = self.problem.stage.rollout(self.problem.continued(command))
+        return self.problem.yardstick.tap_error(self.uncorrected, made_m_s2)
 
 
 class Stored(Answered):

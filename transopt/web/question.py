@@ -138,4 +138,4 @@ def _tap_error(service: Service, index: int, changes: dict[str, Value]) -> tuple
         return np.nan, str(error)
     if found.solution.status is not Status.OPTIMAL or not found.certificate.accepted:
         return np.nan, found.solution.status.value
-    return found.problem.yardstick.tap_error(found.uncorrected, found.predicted_m_s2), ""
+    return found.problem.yardstick.tap_error(found.uncorrected, found.lasting_m_s2), ""

@@ -88,7 +88,7 @@ class Yardstick:
         return float(self.tap_errors([target], acceleration_m_s2[None])[0])
 
     def tap_errors(self, targets: Sequence[Target], accelerations_m_s2: FloatArray) -> FloatArray:
-        """(m,) `Figures.tap_error` alone, for y'' (m, K) from tau_0 on with K at least the samples of the window.
+        """(m,) `Figures.tap_error` alone, for y'' (m, K) from tau_0 on with K at least the samples of the intention.
 
         Of a plant with several directions, y'' (m, p, K), they are those along the normal.
 
@@ -102,7 +102,7 @@ class Yardstick:
         recorded = np.stack([target.recorded_m_s2[first] for target in targets])
         made = np.stack([target.free_m_s2 for target in targets])
         lost = targets[0].lost
-        made[:, lost : lost + along.shape[1]] += along[:, : made.shape[1] - lost]
+        made[:, lost : first.stop] += along[:, : max(first.stop - lost, 0)]
         return _over(_size(made[:, first] - recorded), _size(recorded))
 
     def across(self, target: Target, acceleration_m_s2: FloatArray) -> tuple[float, float]:

@@ -235,6 +235,16 @@ def test_a_tap_that_is_all_lost_has_an_error_of_one() -> None:
     assert yardstick.tap_error(Target(np.zeros(50)), np.zeros(50)) == 0.0
 
 
+def test_the_tap_error_of_a_window_within_the_intention_takes_the_motion_after_it() -> None:
+    made, recorded = np.random.default_rng(1).standard_normal((2, 60))
+    target, yardstick = Target(recorded[:50], recorded[50:]), Yardstick(TimeGrid(1e-4, 50, 0.0, 0.0, 10))
+    truly = float(np.linalg.norm(made - recorded) / np.linalg.norm(recorded))
+    assert yardstick.tap_error(target, made) == pytest.approx(truly, rel=1e-12)
+    assert yardstick.figures(target, made).tap_error == pytest.approx(truly, rel=1e-12)
+    with pytest.raises(ValueError, match="broadcast"):
+        yardstick.tap_error(target, made[:50])
+
+
 @pytest.mark.parametrize("directions", [(), (3,)], ids=["one direction", "three directions"])
 def test_a_target_is_freed_without_a_search_for_garbage(directions: tuple[int, ...]) -> None:
     target = Target(*(np.ones((*directions, samples)) for samples in (9, 2, 1)))
