@@ -136,13 +136,12 @@ def _proven(problem: TransientProblem, linear: Sequence[Limit], options: SolverO
     free = unlimited.solve([problem])[0].command
     motion = problem.stage.motion(free)
     values = boxes(problem, free, motion, Multipliers.zero(problem))
-    peaks = {limit.name: max(box.peak for box in values if box.limit.name == limit.name) for limit in linear}
-    passed = [limit for limit in linear if not peaks[limit.name] <= limit.stated]
+    worst = [max((box for box in values if box.limit.name == limit.name), key=_most) for limit in linear]
+    passed = [box for box in worst if not _most(box) <= 0]
     taken = " and ".join(
-        f"a {limit.label} of {limit.key_scale * peaks[limit.name]:.3g} {limit.key_unit()}, limit {_bound(limit)}"
-        for limit in passed
+        f"a {box.limit.label} of {_bound(box, by=_most(box), digits=3)}, limit {_bound(box)}" for box in passed
     )
-    names = ", ".join(limit.label for limit in passed or linear)
+    names = ", ".join(box.limit.label for box in passed or worst)
     without = f": without limits the optimum takes {taken}" if passed else ""
     return [f"{names}: proven that no command keeps all limits and ends in what the wall asks for{without}"]
 
@@ -180,19 +179,30 @@ def _worst(problem: TransientProblem, limit: Limit, command: FloatArray) -> tupl
     """The row of a limit with the largest violation by a command, and that violation; negative inside the limit."""
     motion = problem.stage.motion(command)
     of = [box for box in boxes(problem, command, motion, Multipliers.zero(problem)) if box.limit.name == limit.name]
-    worst = max(of, key=lambda box: float(box.excess.max()))
-    return worst, float(worst.excess.max())
+    worst = max(of, key=_most)
+    return worst, _most(worst)
 
 
 def _sentence(problem: TransientProblem, limit: Limit, command: FloatArray) -> str:
     worst, by = _worst(problem, limit, command)
     time_ms = problem.grid.switching_times_s[int(np.argmax(worst.excess >= (1 - ALIKE) * by))] * 1e3
     return (
-        f"{limit.label} {limit.key_scale * by:.3g} {limit.key_unit(step=True)} over its limit {_bound(limit)} at "
+        f"{limit.label} {limit.key_scale * by:.3g} {limit.key_unit(step=True)} over its limit {_bound(worst)} at "
         f"{time_ms:.1f} ms at the least"
     )
 
 
-def _bound(limit: Limit) -> str:
-    """A limit's number with its unit, as its scene key states it."""
-    return f"{limit.key_scale * limit.stated:.8g} {limit.key_unit()}"
+def _most(box: Box) -> float:
+    """Largest violation of a row's bounds, negative where they hold."""
+    return float(box.excess.max())
+
+
+def _below(box: Box) -> bool:
+    """Whether the row is farthest out at its lower bound."""
+    at = int(np.argmax(box.excess))
+    return bool(box.lower[at] - box.value[at] > box.value[at] - box.upper[at])
+
+
+def _bound(box: Box, by: float = 0.0, digits: int = 8) -> str:
+    """The bound at which a row is farthest out, raised by so much, with its unit, as its scene key states it."""
+    return f"{box.limit.written(by, lower=_below(box)):.{digits}g} {box.limit.key_unit()}"

@@ -43,11 +43,12 @@ class Price:
     Attributes
     ----------
     limit, unit, step_unit : name of the limit, its unit, and the unit of differences of it.
-    bound : the present bound; for the coil the temperature.
+    bound : the present bound, of a limit with two that differ the one that binds more; for the coil the temperature.
     tap_error : tap error of the optimum at the present bound, over the time of the intention.
-    step, then : increase of the bound, and tap error of the optimum with it; NaN if that optimum is not certified.
-    enough, there : the least bound at which the limit does not bind, its rise rounded up to two digits, and the tap
-        error there; NaN if no such answer is certified, infinity and NaN if the limit still binds at `tried`.
+    step, then : change of the bound that widens the limit, below 0 for a lower bound, and tap error of the optimum
+        with it; NaN if that optimum is not certified.
+    enough, there : the nearest bound at which the limit does not bind, its change rounded up to two digits, and the
+        tap error there; NaN if no such answer is certified, infinity and NaN if the limit still binds at `tried`.
     tried : the widest bound that was solved for; infinite if the problem was solved without the limit.
     """
 
@@ -138,6 +139,12 @@ def binding(
     return {name: gain for name, gain in found.items() if gain * problem.limits[name].room > BINDS}
 
 
+def _binds_below(effect: Effect, multipliers: Multipliers, limit: Limit) -> bool:
+    """Whether a limit's lower bound costs more than its upper one."""
+    of = boxes_of(effect, multipliers, only=limit.name)
+    return sum(float((box.by_lower - box.by_upper).sum()) for box in of) > 0
+
+
 def _excess(effect: Effect, limit: Limit) -> float:
     """Increase of a limit's bound that a command needs to keep the limit; negative if the limit is kept already."""
     of = boxes_of(effect, Multipliers.zero(effect.problem), only=limit.name)
@@ -186,7 +193,7 @@ def _solved(
         certified = designed.is_proven and (designed.certificate.accepted or bent)
     if not certified:
         return None
-    error = small.yardstick.tap_error(small.target, effect.motion.acceleration_m_s2)
+    error = small.yardstick.tap_error(small.target, effect.lasting.acceleration_m_s2)
     return _Answer(
         effect, answer.multipliers, error, binding(small, answer.command, answer.multipliers, effect=effect)
     )
@@ -225,7 +232,8 @@ class _Pricing:
     options: SolverOptions
     objective: str
 
-    def price(self, limit: Limit) -> Search[Price]:
+    def price(self, limit: Limit, *, lower: bool) -> Search[Price]:
+        """Search for the price of a limit, named by its `lower` bound or by the upper one."""
         step = price_step(limit)
         raised = free = yield from self._raised(limit, step)
         widest = limit.stated + step
@@ -242,13 +250,13 @@ class _Pricing:
             limit=limit.label,
             unit=limit.key_unit(),
             step_unit=limit.key_unit(step=True),
-            bound=limit.key_scale * limit.stated,
+            bound=limit.written(lower=lower),
             tap_error=self.tap_error,
-            step=limit.key_scale * step,
+            step=limit.written(step, lower=lower) - limit.written(lower=lower),
             then=np.nan if raised is None else raised.tap_error,
-            enough=limit.key_scale * enough,
+            enough=limit.written(enough - limit.stated, lower=lower),
             there=there,
-            tried=limit.key_scale * widest,
+            tried=limit.written(widest - limit.stated, lower=lower),
         )
 
     def _beyond(self, limit: Limit, answer: _Answer) -> float:
@@ -363,10 +371,16 @@ def prices(
     binds = binding(problem, command, multipliers, effect=effect)
     if not binds:
         return []
-    error = problem.yardstick.tap_error(problem.target, effect.motion.acceleration_m_s2)
+    error = problem.yardstick.tap_error(problem.target, effect.lasting.acceleration_m_s2)
     trials = TrialOptions(options.solver, options.tolerance, options.max_iterations)
     pricing = _Pricing(problem, Effect(problem, unlimited), error, trials, objective)
-    found = together([pricing.price(limit) for limit in problem.limits if limit.name in binds])
+    found = together(
+        [
+            pricing.price(limit, lower=_binds_below(effect, multipliers, limit))
+            for limit in problem.limits
+            if limit.name in binds
+        ]
+    )
     return sorted(found, key=lambda price: np.inf if np.isnan(price.then) else price.then)
 
 

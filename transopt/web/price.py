@@ -54,16 +54,15 @@ def _known(price: Price) -> dict[float, float]:
 def _solved(posed: Posed, entry: Entry, price: Price, options: SolverOptions) -> dict[float, float]:
     """Bound -> tap error at further bounds: below the limit, and up to where it no longer matters."""
     limit = next((each for each in entry.problem.limits if each.label == price.limit), None)
-    if limit is None or not price.bound > 0 or limit.step_unit != limit.unit:
-        return {}  # a share of a temperature has no meaning, as its zero is arbitrary
+    if limit is None or not price.bound * price.step > 0 or limit.step_unit != limit.unit:
+        return {}  # half of it is no tighter limit, as of a temperature, whose zero is arbitrary
     widest = price.enough if np.isfinite(price.enough) else price.bound + price.step
-    bounds = np.linspace(TIGHTEST * price.bound, max(widest, price.bound), POINTS + 2)[:-1]
-    problems = [
-        posed.problem.replaced(limit.raised((float(bound) - price.bound) / limit.key_scale)) for bound in bounds
-    ]
+    bounds = np.linspace(TIGHTEST * price.bound, max(widest, price.bound, key=abs), POINTS + 2)[:-1]
+    outwards = np.sign(price.step) / limit.key_scale
+    problems = [posed.problem.replaced(limit.raised(outwards * (float(bound) - price.bound))) for bound in bounds]
     found = design([replace(posed, problem=problem) for problem in problems], options=options)
     return {
-        float(bound): other.problem.yardstick.tap_error(other.uncorrected, other.predicted_m_s2)
+        float(bound): other.problem.yardstick.tap_error(other.uncorrected, other.lasting_m_s2)
         for bound, other in zip(bounds, found, strict=True)
         if other.solution.status is Status.OPTIMAL and other.certificate.accepted
     }

@@ -183,6 +183,10 @@ class Limit(ABC):
         """Whether all its rows are linear, so that a quadratic program can contain it."""
         return True
 
+    def written(self, by: float = 0.0, *, lower: bool = False) -> float:
+        """The number that the user writes for a bound, once the limit is raised by so much, in `key_unit`."""
+        return self.key_scale * (self.stated + by)
+
     def bound_in_words(self, side: str, *, two_sided: bool) -> str:
         """The bound of one side as reports state it where it binds."""
         sign = {"lower": "-", "upper": "+" if two_sided else ""}[side]

@@ -138,8 +138,11 @@ class OwnLimit(Limit):
         by = (factor - 1) * self.stated
         return type(self)(self.lower - by, self.upper + by, self.row)
 
+    def written(self, by: float = 0.0, *, lower: bool = False) -> float:
+        return self.lower - by if lower else self.upper + by
+
     def bound_in_words(self, side: str, *, two_sided: bool) -> str:
-        return f"{self.lower if side == 'lower' else self.upper:.8g}"
+        return f"{self.written(lower=side == 'lower'):.8g}"
 
 
 def follows_motion(outputs: Iterable[str], driven_by: Input) -> bool:

@@ -66,6 +66,32 @@ def test_a_linear_one_is_recognised_and_solved_by_the_compiled_method(tmp_path: 
     assert not certify(problem, 1.01 * command, m).accepted
 
 
+@pytest.mark.parametrize(
+    ("lower", "upper", "named", "wider"),
+    [(-0.2, None, -0.2, -1), (0.0, None, 0.0, -1), (0.3, None, 0.3, -1), (-5.0, 1.0, 1.0, 1)],
+)
+def test_the_price_of_one_moves_the_bound_that_binds_outwards(
+    tmp_path: Path, taps: list[Recording], lower: float, upper: float | None, named: float, wider: int
+) -> None:
+    """The current, plus 0.5 A where the lower bound is above zero so that a current of zero keeps it."""
+    more = 0.5 if lower > 0 else 0.0
+
+    def at(low: float, up: float | None) -> Build:
+        return solved(
+            tmp_path, taps, f"to.own_limit('bounded', 'A', lambda s: s.current + {more}, lower={low}, upper={up})"
+        )
+
+    [price] = [each for each in at(lower, upper).entries[-1][0].prices if each.limit == "bounded"]
+    assert price.bound == pytest.approx(named, abs=1e-12)
+    assert price.sentence.startswith(f"bounded {named:g} A: ")
+    assert wider * price.step > 0
+    for bound, told in ((price.bound + price.step, price.then), (price.enough, price.there)):
+        assert wider * (bound - named) > 0
+        truly = at(*((bound, None) if upper is None else (lower - (bound - upper), bound))).entries[-1][0]
+        assert told == pytest.approx(truly.figures.tap_error, abs=1e-6)
+    assert "bounded" not in truly.slopes
+
+
 @pytest.mark.parametrize(("limit", "name", "value"), [(AREA, "area", 1.0), (POWER, "power", -1.2)])
 def test_what_is_not_linear_goes_to_ipopt_and_is_certified(
     tmp_path: Path, taps: list[Recording], limit: str, name: str, value: float
