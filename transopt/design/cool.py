@@ -15,7 +15,7 @@ from transopt.proof.designed import Designed
 from transopt.solvers.options import SolverOptions
 from transopt.solvers.side_by_side import Search
 
-CLOSE = 2e-3  # relative tolerance of the heat attained; a coil's heat is not known more accurately
+CLOSE = 2e-3  # share of the allowed heat that may be left unused; a coil's heat is not known more accurately
 MOST_PROBLEMS = 24
 FIRST = 0.1  # cost of the first command's heat at the first price, relative to the objective of zero command
 FARTHEST = 30.0  # factor by which the price grows until a price with little enough heat is known
@@ -48,9 +48,9 @@ def at_share_of_heat(posed: Posed, first: Designed, share: float, options: Solve
 
     Returns
     -------
-    The optimum at the price that was found; its heat is within 0.2 % of the allowed heat. If the hand-over to a wall
-    needs more heat than allowed, it is the optimum with the least heat found. If `first` makes no heat or is not
-    proven, it is `first` itself.
+    The optimum at the price that was found; its heat in the window is at most 0.2 % below the allowed heat. If the
+    hand-over to a wall needs more heat than allowed, it is the optimum with the least heat found. If `first` makes no
+    heat or is not proven, it is `first` itself.
     """
     whole = heat_of(first)
     if not (first.is_proven and whole > 0):
@@ -68,13 +68,13 @@ def at_share_of_heat(posed: Posed, first: Designed, share: float, options: Solve
         tried = _Tried(price, float(np.log(heat)), designed)
         if cold is None and tried.log_heat > max(wanted, warm.log_heat - CLOSE):
             break
-        if tried.log_heat <= wanted + CLOSE:
+        if tried.log_heat <= wanted:
             cold = tried
         else:
             warm = tried
-        if abs(tried.log_heat - wanted) <= CLOSE:
+        if wanted - CLOSE <= tried.log_heat <= wanted:
             break
-        price = _next(warm, cold, wanted)
+        price = _next(warm, cold, wanted - CLOSE / 2)
     found = (warm if cold is None else cold).designed
     return replace(found, solution=replace(found.solution, solve_time_s=spent_s))
 

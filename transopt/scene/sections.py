@@ -42,7 +42,8 @@ class Grid(Section):
     speeds_m_s : incoming speeds of the taps, increasing.
     grips_N : grip forces, increasing; 0 alone is a free device.
     grip_min_N : grip below which no transient is played.
-    cool_share : heat of the cool command for a warm coil, at most this share of the first command's.
+    cool_share : heat of the cool command for a warm coil within the window, at most this share of the first
+        command's unless the hand-over to a wall takes more.
     """
 
     speeds_m_s: Annotated[list[Speed], Field(max_length=sizes.MOST_NODES)] = Field(default_factory=list)

@@ -59,7 +59,9 @@ def least_under(problem: TransientProblem, most_heat_A2: float) -> float:
 
 class TestOptimum:
     def test_each_has_the_share_of_heat_that_is_asked_for(self, cooled: Library) -> None:
-        np.testing.assert_allclose(cool(cooled).heat_A2_s / cooled.heat_A2_s, SHARE, rtol=5e-3)
+        share = cool(cooled).heat_A2_s / cooled.heat_A2_s
+        assert np.all(share <= SHARE)
+        assert np.all(share > 0.997 * SHARE)
         assert np.all(cool(cooled).heat_price > 0)
         assert np.all(cooled.heat_price == 0)
 
@@ -87,7 +89,9 @@ class TestOptimum:
     @pytest.mark.parametrize("name", ["hot_coil", "rapid_tapping", "free_stylus"])
     def test_scenes_of_every_kind_have_them(self, name: str) -> None:
         library = to.solve(with_values(load_scene(name), {"grid.cool_share": 0.5}))
-        np.testing.assert_allclose(cool(library).heat_A2_s / library.heat_A2_s, 0.5, rtol=5e-3)
+        share = cool(library).heat_A2_s / library.heat_A2_s
+        assert np.all(share <= 0.5)
+        assert np.all(share > 0.997 * 0.5)
         assert not list(doubts(library))
 
 
