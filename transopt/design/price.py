@@ -238,7 +238,7 @@ class _Pricing:
         raised = free = yield from self._raised(limit, step)
         widest = limit.stated + step
         if free is None or limit.name in free.binding:
-            free, widest = yield from self._out_of_the_way(limit)
+            free, widest = yield from self._out_of_the_way(limit, raised)
         enough, there = (np.nan, np.nan)
         if free is not None and limit.name in free.binding:
             enough = np.inf
@@ -263,10 +263,13 @@ class _Pricing:
         """Increase of this problem's limit that another problem's answer would need to keep it."""
         return _excess(answer.effect.of(self.problem), limit)
 
-    def _raised(self, limit: Limit, by: float) -> Search[_Answer | None]:
-        return self._optimum(self.problem.replaced(limit.raised(by)))
+    def _raised(self, limit: Limit, by: float, near: _Answer | None = None) -> Search[_Answer | None]:
+        return self._optimum(self.problem.replaced(limit.raised(by)), near)
 
-    def _optimum(self, problem: TransientProblem) -> Search[_Answer | None]:
+    def _optimum(self, problem: TransientProblem, near: _Answer | None) -> Search[_Answer | None]:
+        """Search for an optimum; for the worst device from the shares of an answer with other limits, `near`."""
+        if near is not None and problem.worst:
+            problem = replace(problem, shares=near.effect.problem.shares)
         return _solved(problem, self.options, self.unlimited, self.objective)
 
     def _keeps(self, limit: Limit, by: float, without: _Answer) -> Search[bool]:
@@ -282,13 +285,13 @@ class _Pricing:
         proof = yield Ask(certificates, (raised, without.multipliers))
         return proof.accepted and inside(raised.problem, raised.command, only=limit.name, effect=raised)
 
-    def _out_of_the_way(self, limit: Limit) -> Search[tuple[_Answer | None, float]]:
+    def _out_of_the_way(self, limit: Limit, near: _Answer | None) -> Search[tuple[_Answer | None, float]]:
         """The optimum without a limit, or with a bound so wide that it does not bind, and that bound."""
         if not limit.indispensable:
-            return (yield from self._optimum(self.problem.without(limit.name))), np.inf
+            return (yield from self._optimum(self.problem.without(limit.name), near)), np.inf
         needed = limit.stated + max(_excess(self.unlimited, limit), 0.0)
         for ample in AMPLE:
-            answer = yield from self._raised(limit, ample * needed - limit.stated)
+            answer = yield from self._raised(limit, ample * needed - limit.stated, near)
             if answer is None or limit.name not in answer.binding:
                 break
         return answer, ample * needed
@@ -319,7 +322,7 @@ class _Pricing:
                 return high if np.isfinite(high[0]) else (np.nan, np.nan)
             if (yield from self._keeps(limit, bound - limit.stated, without)):
                 return bound, without.tap_error
-            answer = yield from self._raised(limit, bound - limit.stated)
+            answer = yield from self._raised(limit, bound - limit.stated, without)
             if answer is None:
                 break
             if limit.name in answer.binding:

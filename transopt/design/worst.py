@@ -28,6 +28,7 @@ from transopt.solvers.options import SolverOptions
 
 MOST_STEPS = 200  # iterations of the search; most take 5, a nearly flat g takes 70
 ENOUGH = 1e-8  # difference of worst and weighted mean, relative to J: a hundredth of a certificate's tolerance
+LEAST_SHARE = 1e-12  # what is smaller changes J by less than rounding
 
 
 class _Search:
@@ -46,9 +47,11 @@ class _Search:
         _UnprovenError : the optimum for these shares is not proven.
         _FoundError : these shares are optimal to within `ENOUGH`; the exception ends the search.
         """
-        shares = np.maximum(shares, 0.0)
-        shares = shares / shares.sum()
-        designed = optimum(replace(self._problem, worst=False, shares=shares), self._options)
+        shares = np.where(shares < LEAST_SHARE, 0.0, shares)
+        mean = replace(self._problem, worst=False, shares=shares / shares.sum())
+        designed = optimum(_of_those_that_count(mean), self._options)
+        whole = mean.within(designed.problem.parts)
+        designed = replace(designed, problem=whole, effect=designed.effect.of(whole))
         self._problem = self._problem.within(designed.problem.parts)
         self.spent_s += designed.solution.solve_time_s
         if not designed.is_proven:
@@ -67,6 +70,15 @@ class _Search:
         """Whether the best answer's largest loss and weighted mean agree well within a certificate's tolerance."""
         J = 0.0 if self.best is None else self.best.certificate.objective
         return self._least <= 10 * ENOUGH * max(J, OBJECTIVE_SCALE)
+
+
+def _of_those_that_count(problem: TransientProblem) -> TransientProblem:
+    """The problem without devices of the spread that have no share in J, if no limit refers to their motion."""
+    shares = problem.shared
+    if any(row.device for _, row in problem.rows()) or shares[1:].all():
+        return problem
+    spread = tuple(device for device, share in zip(problem.spread, shares[1:], strict=True) if share > 0)
+    return replace(problem, spread=spread, shares=np.append(shares[0], shares[1:][shares[1:] > 0]))
 
 
 def _raise(search: _Search, start: FloatArray, scale: float) -> None:

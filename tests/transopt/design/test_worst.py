@@ -113,6 +113,40 @@ class TestAgainstTheEpigraph:
         assert (losses <= losses.max() * (1 + 1e-12)).all()
 
 
+class TestDevicesWithoutAShare:
+    @pytest.fixture
+    def sizes(self, monkeypatch: pytest.MonkeyPatch) -> list[int]:
+        """Number of devices of every problem that the search solves."""
+        found: list[int] = []
+
+        def noted(problem: TransientProblem, options: SolverOptions) -> Designed:
+            found.append(len(problem.devices))
+            return optimum(problem, options)
+
+        monkeypatch.setattr("transopt.design.worst.optimum", noted)
+        return found
+
+    def test_they_are_in_no_solve_and_in_the_proof(
+        self, several: TransientProblem, found: Designed, sizes: list[int]
+    ) -> None:
+        again = least_worst(replace(several, shares=found.problem.shares), SolverOptions())
+        assert max(sizes) == 1 + np.count_nonzero(found.problem.shared[1:] > 1e-12) < len(several.devices)
+        assert again.problem.devices == several.devices
+        assert again.certificate.accepted
+        np.testing.assert_allclose(again.solution.command, found.solution.command, atol=1e-6)
+
+    def test_a_limit_on_their_motion_keeps_them(
+        self, several: TransientProblem, found: Designed, sizes: list[int], scene: Scene, taps: list[Recording]
+    ) -> None:
+        short = with_values(scene, {**SHORT, "limits.stroke_m": 0.02})
+        reference = next(r for r in references_of(short, taps) if r.speed_m_s == 0.3)
+        context = Context(short)
+        devices = (context.stage(3.0), *(context.stage(grip) for grip in GRIPS_N))
+        problem = context.posing.problem(wanted_of(reference), devices[0], devices[1:])
+        assert least_worst(replace(problem, worst=True, shares=found.problem.shares), SolverOptions()).is_proven
+        assert set(sizes) == {len(devices)}
+
+
 class TestCertificate:
     @pytest.mark.parametrize("by", [0.01, -0.01])
     def test_other_shares_prove_nothing(self, found: Designed, by: float) -> None:
