@@ -178,7 +178,7 @@ COLUMNS = {
     "largest_multiplier": Column(
         "largest multiplier",
         lambda said: said if isinstance(said, str) else UNKNOWN,
-        "per A, V or K of the limit that binds hardest",
+        "per unit of the limit that binds hardest",
     ),
     "violation": Column("violation {unit}", power, array="primal_violation"),
     "gap": Column("gap", power, "of the certificate, relative to max(J, 1e-3)"),

@@ -18,9 +18,7 @@ from transopt.study.inverse import Answer
 from transopt.study.plan import Plan
 from transopt.study.rows import (
     ADMITTED,
-    MULTIPLIER_COLUMNS,
     REFUSED,
-    VIOLATIONS,
     Row,
     entry_name,
     is_admitted,
@@ -50,14 +48,6 @@ def binding_names(row: Row) -> str:
     return ", ".join(names) or "-"
 
 
-def largest_multiplier(row: Row) -> str:
-    found = {name: number(row, column) for name, column in MULTIPLIER_COLUMNS.items() if row[column]}
-    if not found or max(found.values()) < 1e-9:
-        return "-"
-    name = max(found, key=lambda each: found[each])
-    return f"{name} {found[name]:.2g}"
-
-
 def shown_row(row: Row) -> TableRow:
     """The row as the table shows it."""
     refused = row["status"] == REFUSED
@@ -66,7 +56,7 @@ def shown_row(row: Row) -> TableRow:
         "floor": number(row, "floor"),
         "peak": number(row, "peak_input"),
         "winding": number(row, "peak_temperature_C"),
-        "largest_multiplier": largest_multiplier(row),
+        "largest_multiplier": row["largest_multiplier"] or "-",
         "gap": number(row, "relative_gap"),
         "ms": 1e-3 * number(row, "solve_ms"),
         "binding": binding_names(row) if is_admitted(row) else f"{row['status']}: {row['reason']}",
@@ -99,7 +89,7 @@ def summary(rows: Sequence[Row]) -> str:
     text = f"{len(there)} of {len(rows)} entries certified and replayed clean" + (f"; {others}" if others else "")
     if there:
         gap = max(number(row, "relative_gap") for row in there)
-        violation = max(number(row, column) for row in there for column in VIOLATIONS)
+        violation = max(number(row, "violation") for row in there)
         times = [number(row, "solve_ms") for row in there]
         text += f"; worst gap {gap:.0e}, violation {violation:.0e}; solver {np.median(times):.0f} ms in the median"
     if any(row["status"] == Status.STATIONARY.name for row in rows):

@@ -18,6 +18,7 @@ from transopt.study.axes import label
 REFUSED = "REFUSED"  # status beside those of `Status`: the scene itself is invalid
 DEFECT = "DEFECT"  # status of a solve that raised an unexpected exception
 NAN = float("nan")
+LEAST_MULTIPLIER = 1e-9  # per unit of a limit; less is rounding
 # Label of a limit -> name of the column with its largest multiplier.
 MULTIPLIER_COLUMNS = {kind.label: f"mu_{kind.label}_1_{kind.base_unit()}" for kind in KINDS}
 
@@ -33,6 +34,15 @@ def _multiplier(kind_label: str) -> Callable[[Entry], float]:
         return max((float(np.maximum(box.by_upper, box.by_lower).max()) for box in own), default=NAN)
 
     return largest
+
+
+def _hardest(entry: Entry) -> str:
+    """The limit whose bound would change J most by the same share of it, and its largest multiplier."""
+    if not np.all(np.isfinite(entry.solution.command)):
+        return ""
+    boxes = boxes_of(entry.designed.effect, entry.solution.multipliers, above=LEAST_MULTIPLIER)
+    hardest = max(boxes, key=lambda box: float((box.by_upper + box.by_lower).sum()) * box.limit.room, default=None)
+    return "" if hardest is None else f"{hardest.name} {np.maximum(hardest.by_upper, hardest.by_lower).max():.2g}"
 
 
 def _made_dB(entry: Entry) -> float:
@@ -69,10 +79,12 @@ COLUMNS: dict[str, Callable[[Entry], Any]] = {
     "objective": lambda e: e.certificate.objective,
     "relative_gap": lambda e: e.certificate.relative_gap,
     "relative_bound": lambda e: e.certificate.relative_bound,
+    "violation": lambda e: e.certificate.primal_violation,
     "violation_A": lambda e: e.certificate.violation("A"),
     "violation_V": lambda e: e.certificate.violation("V"),
     "violation_K": lambda e: e.certificate.violation("K"),
     **{column: _multiplier(kind_label) for kind_label, column in MULTIPLIER_COLUMNS.items()},
+    "largest_multiplier": _hardest,
     "tap_error_seed": lambda e: e.baselines.seed.tap_error,
     "tap_error_clipped": lambda e: e.baselines.clipped.tap_error,
     "binding": lambda e: e.binding,
@@ -84,8 +96,6 @@ COLUMNS: dict[str, Callable[[Entry], Any]] = {
 }
 # Columns that cost more than the optimum: baselines at the transient limit, and prices of the binding limits.
 RIVALS = {"tap_error_seed", "tap_error_clipped", "price"}
-# Largest excess over the limits according to the certificate, one column per unit.
-VIOLATIONS = ("violation_A", "violation_V", "violation_K")
 # Measures that an inverse question may bound.
 MEASURES = (
     "tap_error",

@@ -223,6 +223,21 @@ def test_same_as_the_library(scene: Scene, taps: list[Recording], build: Build) 
     )
 
 
+def test_an_own_limit_that_binds_hardest_is_named(taps: list[Recording], tmp_path: Path) -> None:
+    """A joint at 2 N costs most of the tap, a current of 3.9 A hardly anything."""
+    law = "lambda s: 6e4 * s.output('transmission stretch')"
+    (tmp_path / "joint.py").write_text(
+        f"import transopt as to\nLIMITS = [to.own_limit('joint', 'N', {law}, upper=2)]\n"
+    )
+    text = problems.scene_path("wood_on_foam").read_text(encoding="utf-8")
+    path = tmp_path / "mine.toml"
+    path.write_text(text.replace("[limits]", '[limits]\nown = ["joint.py"]'), encoding="utf-8")
+    (outcome,) = run_task(task(problems.load(path), taps, [{}], [0.4]))
+    assert {"joint 2 N", "current +4 A"} <= {part.split(" at ")[0] for part in outcome["binding"].split("; ")}
+    assert outcome["largest_multiplier"].startswith("joint ")
+    assert 0 <= outcome["violation"] <= 2e-6
+
+
 def test_points_of_other_devices_in_one_task_come_out_as_alone(scene: Scene, taps: list[Recording]) -> None:
     points: list[Changes] = [{}, {"amplifier.pole_Hz": 300.0}, {"limits.supply_V": 9.0}, {"thermal.ambient_C": 30.0}]
     together = run_task(task(scene, taps, points, [0.4]))
