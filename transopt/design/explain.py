@@ -19,7 +19,7 @@ from transopt.proof.certify import certify
 from transopt.proof.effect import Box, boxes
 from transopt.solvers import unlimited
 from transopt.solvers.choose import capable, solve
-from transopt.solvers.feasibility import Widening, can_widen, least_widening
+from transopt.solvers.feasibility import Widening, alone, can_widen, least_widening
 from transopt.solvers.options import SolverOptions
 
 WIDEST = 64.0  # largest factor by which one limit is widened; more would not be a sensible remedy
@@ -112,10 +112,8 @@ def infeasibility(problem: TransientProblem, options: SolverOptions) -> list[str
     if together is None:
         return _proven(bare, linear, options)
     if together.factor > 1:
-        alone = [
-            (limit, _least_widening(bare, [limit], options)) for limit in linear if limit.name in together.blamed
-        ]
-        found = [_sentence(problem, limit, least.command) for limit, least in alone if least is not None]
+        each = [(limit, _alone(bare, limit, together, options)) for limit in linear if limit.name in together.blamed]
+        found = [_sentence(problem, limit, least.command) for limit, least in each if least is not None]
         if found:
             return found
         missed = [limit for limit in linear if _worst(problem, limit, together.command)[1] > 0]
@@ -173,6 +171,13 @@ def _least_widening(problem: TransientProblem, limits: Sequence[Limit], options:
         else:
             high, command = middle, nearer
     return Widening(high, command, names)
+
+
+def _alone(problem: TransientProblem, limit: Limit, together: Widening, options: SolverOptions) -> Widening | None:
+    """The least factor for one of the limits that were widened together."""
+    if can_widen(problem):
+        return alone(problem, limit.name, together)
+    return _least_widening(problem, [limit], options)
 
 
 def _worst(problem: TransientProblem, limit: Limit, command: FloatArray) -> tuple[Box, float]:

@@ -26,7 +26,7 @@ from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import layout
 from transopt.proof.continuous import AGREEMENT
 from transopt.proof.replay import Replay
-from transopt.solvers.feasibility import can_widen, least_widening
+from transopt.solvers.feasibility import alone, can_widen, least_widening
 from transopt.solvers.options import SolverOptions, TrialOptions
 
 MOST_WORK = 100.0  # work of all trials for one entry; most searches of the stress suite end within 20 trials
@@ -335,9 +335,9 @@ def _least_factors(problem: TransientProblem, limits: Sequence[Limit]) -> dict[t
     """Least factors of each limit alone and of all together, by their names; infinite where none is enough."""
     if not can_widen(problem):
         return {}
-    names = [limit.name for limit in limits]
-    sets = dict.fromkeys([*((name,) for name in names), tuple(names)])
-    found = {each: least_widening(problem, each) for each in sets}
+    names = tuple(limit.name for limit in limits)
+    together = least_widening(problem, names)
+    found = {names: together} | {(name,): alone(problem, name, together) for name in names}
     return {each: np.inf if widening is None else widening.factor for each, widening in found.items()}
 
 

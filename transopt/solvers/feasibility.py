@@ -79,7 +79,9 @@ def least_widening(problem: TransientProblem, limits: Collection[str]) -> Wideni
         if over > SLACK:
             blamed.add(limit.name)
         least = max(least, over)
-    problem = problem.without(*problem.nonlinear)
+    # What the error is filtered by decides nothing here, and its states would double the work.
+    unfiltered = tuple(replace(term, error_filter=None) for term in problem.terms[:1])
+    problem = replace(problem.without(*problem.nonlinear), terms=unfiltered, intensity=0.0)
     given = stages(problem)
     widths = {row.name: row.share if limit.name in limits else 0.0 for limit, row in problem.rows()}
     width = np.array([widths[kind] for kind in given.limits.kinds]) / given.limits.unit
@@ -99,6 +101,20 @@ def least_widening(problem: TransientProblem, limits: Collection[str]) -> Wideni
         if widened > SLACK and sum(share[row.name] for row in limit.rows(problem)) > NO_PRICE:
             blamed.add(limit.name)
     return Widening(1.0 + (widened if widened > SLACK else 0.0), _command(given, found), frozenset(blamed))
+
+
+def alone(problem: TransientProblem, limit: str, together: Widening | None) -> Widening | None:
+    """Least widening of one of the limits that were widened together, which as a rule tells it without a search."""
+    if together is not None and together.factor == 1:
+        return together
+    if together is not None and limit not in together.blamed:
+        return None
+    if together is not None and together.blamed == {limit}:
+        motion = problem.stage.motion(together.command)
+        courses = boxes(problem, together.command, motion, Multipliers.zero(problem))
+        if all(box.kept for box in courses if box.limit.linear and box.limit.name != limit):
+            return together
+    return least_widening(problem, (limit,))
 
 
 def _command(given: Stages, found: Answer) -> FloatArray:

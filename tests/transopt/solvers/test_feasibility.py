@@ -23,7 +23,7 @@ from transopt.proof.admit import unstable_wall
 from transopt.proof.continuous import AGREEMENT
 from transopt.proof.effect import boxes
 from transopt.solvers.choose import solve_certified
-from transopt.solvers.feasibility import least_widening
+from transopt.solvers.feasibility import alone, least_widening
 from transopt.solvers.options import SolverOptions
 
 SHORT = Horizon(stages=40)
@@ -57,6 +57,31 @@ def test_no_limit_is_enough_alone_but_those_to_blame(limit: float, enough: set[s
     assert found is not None
     assert {name for name in everything if least_widening(problem, [name]) is not None} == enough
     assert found.blamed == {"current", "slew"}
+
+
+@pytest.mark.parametrize("limit", [0.3, 2.2, 2.8, 100.0])
+def test_the_widening_together_tells_that_of_each_alone(limit: float) -> None:
+    problem, everything = walled(limit), ["current", "command", "slew"]
+    together = least_widening(problem, everything)
+    for name in everything:
+        told, searched = alone(problem, name, together), least_widening(problem, [name])
+        assert (told is None) == (searched is None)
+        assert told is None or told.factor == pytest.approx(searched.factor, rel=1e-5)
+
+
+def test_one_limit_to_blame_whose_widening_keeps_the_others_takes_no_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Alone the search for this slew rate of 0.13 A/s finds no step, although a rate 51 times as high is enough."""
+    problem = drawn(31337, 254).problem()
+    together = least_widening(problem, ["current", "slew"])
+    assert together.blamed == {"slew"}
+    monkeypatch.setattr("transopt.solvers.feasibility.interior_points", None)
+    told = alone(problem, "slew", together)
+    monkeypatch.undo()
+    for factor, feasible in ((1.01 * told.factor, True), (0.99 * told.factor, False)):
+        wide = problem.replaced(problem.limits["slew"].wider(factor)).without(*problem.nonlinear)
+        (answer, proof, _) = solve_certified([wide], SolverOptions())[0]
+        assert (proof.excess <= 1) == feasible
+        assert (answer.status is Status.INFEASIBLE) != feasible
 
 
 @pytest.mark.parametrize("surface", [Surface(2000.0), Surface(2e4, 5.0, latency_ticks=2)])
