@@ -54,12 +54,13 @@ def _known(price: Price) -> dict[float, float]:
 def _solved(posed: Posed, entry: Entry, price: Price, options: SolverOptions) -> dict[float, float]:
     """Bound -> tap error at further bounds: below the limit, and up to where it no longer matters."""
     limit = next((each for each in entry.problem.limits if each.label == price.limit), None)
-    if limit is None or not price.bound * price.step > 0 or limit.step_unit != limit.unit:
-        return {}  # half of it is no tighter limit, as of a temperature, whose zero is arbitrary
-    widest = price.enough if np.isfinite(price.enough) else price.bound + price.step
-    bounds = np.linspace(TIGHTEST * price.bound, max(widest, price.bound, key=abs), POINTS + 2)[:-1]
-    outwards = np.sign(price.step) / limit.key_scale
-    problems = [posed.problem.replaced(limit.raised(outwards * (float(bound) - price.bound))) for bound in bounds]
+    if limit is None or limit.step_unit != limit.unit:
+        return {}  # a share of a temperature has no meaning, as its zero is arbitrary
+    outwards = np.sign(price.step) * limit.key_scale
+    widest = (price.enough if np.isfinite(price.enough) else price.bound + price.step) - price.bound
+    raised = np.linspace((TIGHTEST - 1) * limit.room, max(widest / outwards, 0.0), POINTS + 2)[:-1]
+    bounds = price.bound + outwards * raised
+    problems = [posed.problem.replaced(limit.raised(float(by))) for by in raised]
     found = design([replace(posed, problem=problem) for problem in problems], options=options)
     return {
         float(bound): other.problem.yardstick.tap_error(other.uncorrected, other.lasting_m_s2)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import problems
 import transopt as to
 from tests.benches.actuators import nonlinear_scene
 from transopt.base.errors import InputError
@@ -150,6 +151,30 @@ def test_every_point_of_a_price_is_the_error_under_that_limit(service: Service) 
     for bound, error in (price.points[0], price.points[2], price.points[-1]):
         service.change({"limits.current_A": bound})
         assert _tap_error(service.quick([1])[0]) == pytest.approx(error, rel=1e-4)
+
+
+@pytest.mark.parametrize(("bounds", "outwards"), [("lower=9.9, upper=10.5", 1), ("lower=9.8", -1), ("upper=10.5", 1)])
+def test_every_point_of_an_own_limits_price_is_the_error_under_its_bound(
+    tmp_path: Path, bounds: str, outwards: int
+) -> None:
+    """Bounds on the current plus 10 A lie far from zero: half of them is no tighter limit."""
+    text = problems.scene_path("wood_on_foam").read_text(encoding="utf-8").replace("stages = 800", "stages = 150")
+    scene = tmp_path / "mine.toml"
+    scene.write_text(text.replace("[limits]", '[limits]\nown = ["my_limits.py"]'), encoding="utf-8")
+
+    def under(stated: str) -> Service:
+        law = f"to.own_limit('bounded', 'A', lambda s: s.current + 10, {stated})"
+        (tmp_path / "my_limits.py").write_text(f"import transopt as to\nLIMITS = [{law}]\n")
+        return Service(to.with_values(to.load_scene(scene), {"grid.speeds_m_s": [0.4], "grid.grips_N": [3.0]}))
+
+    (price, *_) = under(bounds).settled(0).prices
+    assert (price.label, len(price.points) > 2) == ("bounded", True)
+    other = 9.9 + price.now if "," in bounds else None
+    for bound, error in (price.points[0], price.points[1], price.points[-1]):
+        side = "upper" if outwards > 0 else "lower"
+        both = "" if other is None else f"lower={other - bound}, "
+        (shown,) = under(f"{both}{side}={bound}").quick([0])
+        assert _tap_error(shown) == pytest.approx(error, rel=1e-4)
 
 
 def test_the_cells_are_those_of_every_other_table(service: Service) -> None:

@@ -113,6 +113,12 @@ class OwnLimit(Limit):
     def stated(self) -> float:
         return max(abs(bound) for bound in (self.lower, self.upper) if np.isfinite(bound)) or 1.0
 
+    @property
+    def room(self) -> float:
+        """Half the distance of two bounds, which may both lie far from zero; of a single one the bound."""
+        width = self.upper - self.lower
+        return width / 2 if 0 < width < np.inf else self.stated
+
     @classmethod
     def posed(cls, asked: Mapping[str, Any], setting: Setting) -> Self | None:
         raise NotImplementedError("made by own_limits")
