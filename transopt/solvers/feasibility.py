@@ -51,8 +51,14 @@ class Widening(NamedTuple):
 
 def can_widen(problem: TransientProblem) -> bool:
     """Whether the extension exists and takes the problem with one more motor and each row's two sides apart."""
-    where = layout(problem)
+    where = layout(_with_linear_limits(problem))
     return available and takes(where.states + 1, where.motors + 1, 2 * len(problem.rows()) + 1)
+
+
+def _with_linear_limits(problem: TransientProblem) -> TransientProblem:
+    """The problem without nonlinear limits, and without error filters: they decide nothing and double the work."""
+    unfiltered = tuple(replace(term, error_filter=None) for term in problem.terms[:1])
+    return replace(problem.without(*problem.nonlinear), terms=unfiltered, intensity=0.0)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # extreme numbers overflow; the search breaks down then
@@ -79,9 +85,7 @@ def least_widening(problem: TransientProblem, limits: Collection[str]) -> Wideni
         if over > SLACK:
             blamed.add(limit.name)
         least = max(least, over)
-    # What the error is filtered by decides nothing here, and its states would double the work.
-    unfiltered = tuple(replace(term, error_filter=None) for term in problem.terms[:1])
-    problem = replace(problem.without(*problem.nonlinear), terms=unfiltered, intensity=0.0)
+    problem = _with_linear_limits(problem)
     given = stages(problem)
     widths = {row.name: row.share if limit.name in limits else 0.0 for limit, row in problem.rows()}
     width = np.array([widths[kind] for kind in given.limits.kinds]) / given.limits.unit

@@ -11,6 +11,7 @@ from problems.stress.draw import drawn
 from problems.stress.judge import played
 from problems.stress.parts import Coil, Current, Demand, DrawnDevice, Horizon, Surface
 from transopt.base.errors import InputError
+from transopt.design.context import Context
 from transopt.design.explain import PRECISION, infeasibility
 from transopt.design.optimum import optimum
 from transopt.plant.coil import COPPER_PER_K, RESISTANCE_REFERENCE_C, CoilModel
@@ -21,10 +22,15 @@ from transopt.problem.problem import TransientProblem
 from transopt.problem.wall_ticks import encoder_course, silence
 from transopt.proof.admit import unstable_wall
 from transopt.proof.continuous import AGREEMENT
-from transopt.proof.effect import boxes
+from transopt.proof.effect import boxes, inside
+from transopt.recordings.recording import Recording
+from transopt.scene.keys import with_values
+from transopt.scene.recordings import references_of
+from transopt.scene.scene import Scene
 from transopt.solvers.choose import solve_certified
-from transopt.solvers.feasibility import alone, least_widening
+from transopt.solvers.feasibility import alone, can_widen, least_widening
 from transopt.solvers.options import SolverOptions
+from transopt.solvers.riccati import can_solve
 
 SHORT = Horizon(stages=40)
 
@@ -106,6 +112,20 @@ def test_limits_a_million_times_too_narrow_have_a_least_width() -> None:
     found = least_widening(problem, ("current", "command", "supply"))
     assert found is not None
     assert found.factor == pytest.approx(799460.68, rel=1e-5)
+
+
+def test_devices_whose_filters_are_too_many_for_a_solve_are_widened_for(scene: Scene, taps: list[Recording]) -> None:
+    """Twelve hands need 98 states with their filters; what they need has no excess and is no less than one needs."""
+    spread = {"robust.grip_spread": 0.3, "robust.samples": 12, "time.stages": 100, "weights.after_s": 0.0}
+    short = with_values(scene, {**spread, "limits.stroke_m": 1e-3})
+    reference = next(r for r in references_of(short, taps) if r.speed_m_s == 0.4)
+    problem = Context(short).posed_as(reference, 5.0).problem
+    assert not can_solve(problem)
+    assert can_widen(problem)
+    found, of_one = (least_widening(each, ["stroke"]) for each in (problem, problem.alone()))
+    wide = problem.replaced(problem.limits["stroke"].wider(found.factor * (1 + 1e-6)))
+    assert inside(wide.without(*wide.nonlinear), found.command)
+    assert found.factor >= of_one.factor > 1
 
 
 def test_bisection_finds_the_same_where_the_extension_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
