@@ -57,10 +57,10 @@ def at_share_of_heat(posed: Posed, first: Designed, share: float, options: Solve
         return first
     wanted, spent_s = float(np.log(share * whole)), 0.0
     warm, cold = _Tried(posed.problem.heat_price, float(np.log(whole)), first), None
-    price = max(FIRST / whole, 2 * warm.price)
+    price, latest = max(FIRST / whole, 2 * warm.price), first
     for _ in range(MOST_PROBLEMS):
-        problem = replace(posed.problem.within(first.problem.parts), heat_price=price)
-        designed = yield from best(problem, options, objective=posed.objective)
+        problem = replace(posed.problem.within(first.problem.parts), heat_price=price, shares=latest.problem.shares)
+        designed = latest = yield from best(problem, options, objective=posed.objective)
         spent_s += designed.solution.solve_time_s
         heat = heat_of(designed)
         if not (designed.is_proven and heat > 0):
