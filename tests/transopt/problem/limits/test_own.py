@@ -92,6 +92,13 @@ def test_the_price_of_one_moves_the_bound_that_binds_outwards(
     assert "bounded" not in truly.slopes
 
 
+def test_one_that_no_command_keeps_is_refused_with_its_sign(tmp_path: Path, taps: list[Recording]) -> None:
+    """The last commands are zero, so that no current stays 0.3 A below zero."""
+    entry = solved(tmp_path, taps, "to.own_limit('low', 'A', lambda s: s.current, upper=-0.3)").entries[-1][0]
+    assert entry.status is Status.INFEASIBLE
+    assert entry.shortfalls[0].startswith("low 0.3 A over its limit -0.3 A at ")
+
+
 @pytest.mark.parametrize(("limit", "name", "value"), [(AREA, "area", 1.0), (POWER, "power", -1.2)])
 def test_what_is_not_linear_goes_to_ipopt_and_is_certified(
     tmp_path: Path, taps: list[Recording], limit: str, name: str, value: float
