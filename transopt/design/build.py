@@ -15,7 +15,7 @@ from transopt.base.signals import FloatArray
 from transopt.base.threads import one_blas_thread
 from transopt.base.writing import percent
 from transopt.design.context import Context
-from transopt.design.design import design
+from transopt.design.design import SOLVED_TOGETHER, design
 from transopt.design.entry import Entry
 from transopt.design.entry_arrays import EntryArrays
 from transopt.design.nodes import Nodes, Point
@@ -44,9 +44,6 @@ if TYPE_CHECKING:  # nothing is drawn while a library is solved
     from matplotlib.figure import Figure
 
 
-SOLVED_TOGETHER = (
-    128  # entries in one batch, at least those of one grip; fewer leave lanes of the compiled method idle
-)
 # Arrays of a reference that a library stores for every cell under the same name.
 CELLS = (*(name for name in COURSES if name != "nominal_position_at_ticks_m"), *TARGETS)
 

@@ -1,6 +1,9 @@
 """The single path from a problem to an entry: solve, certify, replay, admit."""
 
+import math
 from collections.abc import Callable, Sequence
+
+import numpy as np
 
 from transopt.base.threads import one_blas_thread
 from transopt.design.batch import Batch
@@ -13,6 +16,9 @@ from transopt.proof.designed import Designed
 from transopt.solvers.options import SolverOptions
 from transopt.solvers.side_by_side import Search, together
 
+# Problems in one batch of the solver: fewer leave lanes of the compiled method idle, the working memory of more would
+# set the peak of memory.
+SOLVED_TOGETHER = 128
 PLAYED_TOGETHER = 64  # answers in one simulation; the courses of more at fine steps would set the peak of memory
 
 
@@ -43,17 +49,20 @@ def design(
     The entries in the order of the problems.
     """
     options = SolverOptions() if options is None else options
-    filter_together([posed.problem.tracking for posed in problems])
-    found = together([_solved(posed, options, failed) for posed in problems])
+    found: list[Designed | None] = []
+    for part in np.array_split(np.arange(len(problems)), math.ceil(len(problems) / SOLVED_TOGETHER) or 1):
+        some = [problems[number] for number in part]
+        filter_together([posed.problem.tracking for posed in some])
+        found += together([_solved(posed, options, failed) for posed in some])
     solved = {number: designed for number, designed in enumerate(found) if designed is not None}
     entries: dict[int, Entry] = {}
     played: dict[tuple[object, ...], list[int]] = {}
     for number, designed in solved.items():
         played.setdefault(_played_with(problems[number], designed), []).append(number)
-    some = [
+    batches = [
         group[at : at + PLAYED_TOGETHER] for group in played.values() for at in range(0, len(group), PLAYED_TOGETHER)
     ]
-    for numbers in some:
+    for numbers in batches:
         first = problems[numbers[0]]
         uncorrected = [problems[n].uncorrected or solved[n].problem.target for n in numbers]
         batch = Batch([solved[n] for n in numbers], first.coil, first.steady_input, uncorrected, with_rivals=rivals)

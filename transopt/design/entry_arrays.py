@@ -1,5 +1,7 @@
 """The arrays of a library that are computed from its entries, collected device by device."""
 
+import math
+import mmap
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import Any
@@ -7,9 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from transopt.base.signals import FloatArray
 from transopt.design.entry import Entry
 from transopt.library.multipliers import ARRAYS, MULTIPLIERS, of_sides, pairs_of
 from transopt.problem.answer import Multipliers
+
+
+def _mostly_zeros(shape: tuple[int, ...]) -> FloatArray:
+    """Zeros of which a write allocates one page; numpy asks for pages so large that one holds dozens of entries."""
+    count = math.prod(shape)
+    memory = mmap.mmap(-1, max(count * np.dtype(float).itemsize, 1), access=mmap.ACCESS_COPY)
+    return np.frombuffer(memory, dtype=float, count=count).reshape(shape)
 
 
 class EntryArrays:
@@ -46,23 +56,20 @@ class EntryArrays:
             if name == "transient_command" and column[0].problem.wall is None:
                 continue  # it is the command itself
             values: NDArray[Any] = np.array([made(entry) for entry in column], dtype=object if is_text else float)
-            found = self._of(name, values.shape[1:], values.dtype)
+            if name not in self._found:
+                self._found[name] = np.zeros((*self.shape, *values.shape[1:]), values.dtype)
             # Memory of zeros that is never written to is not allocated.
             if is_text or values.any():
-                found[:, self._number] = values
+                self._found[name][:, self._number] = values
         for row, entry in enumerate(column):
             sides = of_sides(entry.solution.multipliers)
             for name, course in sides.items():
                 at = np.flatnonzero(course)
-                self._of(name, course.shape)[row, self._number, at] = course[at]
+                if name not in self._found:
+                    self._found[name] = _mostly_zeros((*self.shape, *course.shape))
+                self._found[name][row, self._number, at] = course[at]
             self._share(entry, row, sides)
         self._number += 1
-
-    def _of(self, name: str, shape: tuple[int, ...], dtype: Any = float) -> Any:
-        """The array of a name, zeros at first, for values of one shape."""
-        if name not in self._found:
-            self._found[name] = np.zeros((*self.shape, *shape), dtype=dtype)
-        return self._found[name]
 
     def _share(self, entry: Entry, row: int, sides: Collection[str]) -> None:
         """Let an entry hold views of the arrays in place of its command and multipliers, which are in memory once."""

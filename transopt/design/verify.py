@@ -8,7 +8,7 @@ import numpy as np
 from transopt.base.signals import FloatArray
 from transopt.base.threads import one_blas_thread
 from transopt.design.batch import Batch
-from transopt.design.build import SOLVED_TOGETHER
+from transopt.design.design import SOLVED_TOGETHER
 from transopt.design.entry import Entry
 from transopt.design.optimum import optimum
 from transopt.library.answered import answers_of, uncorrected_of

@@ -42,6 +42,23 @@ COURSES = (
     "nominal_position_at_ticks_m",
 )
 
+Within = dict[str, tuple[slice, tuple[int, ...]]]  # name in `COURSES` -> its part of one array of all, and its shape
+
+
+def _parts(shapes: Sequence[tuple[int, ...]]) -> Within:
+    """Parts of an array (K,) in which courses of these shapes follow each other, in the order of `COURSES`."""
+    ends = itertools.accumulate(map(math.prod, shapes), initial=0)
+    parts = [(slice(*of), shape) for of, shape in zip(itertools.pairwise(ends), shapes, strict=True)]
+    return dict(zip(COURSES, parts, strict=True))
+
+
+def _views(stacked: FloatArray, within: Within) -> dict[str, Any]:
+    """Courses by name, as parts of an array (K,)."""
+    return {
+        name: stacked[part] if len(shape) == 1 else stacked[part].reshape(shape)
+        for name, (part, shape) in within.items()
+    }
+
 
 @dataclass(frozen=True)
 class Reference:
@@ -108,21 +125,16 @@ class Reference:
         return np.concatenate([getattr(self, name).ravel() for name in COURSES])
 
     @cached_property
-    def within_stacked(self) -> dict[str, tuple[slice, tuple[int, ...]]]:
+    def within_stacked(self) -> Within:
         """Name in `COURSES` -> its part of `stacked`, and its shape."""
-        shapes = [getattr(self, name).shape for name in COURSES]
-        ends = list(itertools.accumulate(map(math.prod, shapes), initial=0))
-        parts = [(slice(*of), shape) for of, shape in zip(itertools.pairwise(ends), shapes, strict=True)]
-        return dict(zip(COURSES, parts, strict=True))
+        return _parts([getattr(self, name).shape for name in COURSES])
 
     def with_courses(self, stacked: FloatArray, **others: Any) -> "Reference":
         """A copy whose courses are parts of one array (K,), in the order of `stacked`, and with other fields."""
         found, within = object.__new__(type(self)), self.within_stacked
-        vars(found).update(vars(self), **others, stacked=stacked)
+        vars(found).update(vars(self), **others, stacked=stacked, **_views(stacked, within))
         for of_courses in ("target", "aims_at_recorded"):
             vars(found).pop(of_courses, None)
-        for name, (part, shape) in within.items():
-            vars(found)[name] = stacked[part] if len(shape) == 1 else stacked[part].reshape(shape)
         return found
 
     @cached_property
@@ -208,19 +220,23 @@ class TimeAxis:
         # Lost samples, window and tail, evenly spaced, at which r is sampled; ticks.
         self._instants = grid.before_times_s, grid.switching_times_s, grid.after_times_s, grid.all_issue_times_s
         self.felt_at_s = np.concatenate(self._instants[:3])
-        ends = itertools.accumulate((each.size for each in self._instants), initial=0)
-        self._kinds = [slice(*of) for of in itertools.pairwise(ends)]
 
     def points(self, end_s: float) -> int:
         """How many points of the fine axis reach from the settling to a time after contact."""
         return self.contact + math.ceil(max(end_s, 0.0) / self.step_s) + 2
 
-    def by_kind(self, courses: FloatArray) -> list[FloatArray]:
-        """Courses (..., m) at the instants, in their order, split into lost samples, window, tail and ticks."""
-        return [courses[..., part] for part in self._kinds]
+    def within_stacked(self, directions: int) -> Within:
+        """Parts of all courses of a reference of one or three directions, in one array (K,)."""
+        lost, stages, after, ticks = (each.size for each in self._instants)
+        along = () if directions == 1 else (directions,)
+        recorded = [(*along, size) for size in (lost, stages, after)]
+        return _parts([*recorded, *((size,) for size in (lost, stages, after, stages, stages, ticks))])
 
     def motion(self, speed_m_s: float, grip_N: float, incoming_m_s2: float) -> FloatArray:
-        """(3, m) a_free, z_nom and its derivative at all instants; z_nom = 0, dz_nom/dt = -speed at contact."""
+        """(m,) a_free, z_nom, its derivative and z_nom at the ticks, in the order of `COURSES`.
+
+        At contact z_nom = 0 and dz_nom/dt = -speed.
+        """
         found = speed_m_s * self._unit(1.0, grip_N, 0.0)
         return found if incoming_m_s2 == 0 else found + incoming_m_s2 * self._unit(0.0, grip_N, 1.0)
 
@@ -234,8 +250,12 @@ class TimeAxis:
             velocity += -speed_m_s - velocity[self.contact]
             position = integral(velocity, self.step_s)
             position -= position[self.contact]
-            courses = np.stack([by_itself, position, velocity])
-            self._kept[key] = splined(times, courses, np.concatenate(self._instants))
+            free, z, velocity = splined(
+                times, np.stack([by_itself, position, velocity]), np.concatenate(self._instants)
+            )
+            felt, first = self.felt_at_s.size, self.grid.before_times_s.size
+            window = slice(first, first + self.grid.stages)
+            self._kept[key] = np.concatenate([free[:felt], z[window], velocity[window], z[felt:]])
         return self._kept[key]
 
 
@@ -294,28 +314,23 @@ def build_reference(
         total = sum(factor * x.evenly(first_s + by, grid.dt_s, count) for factor, x, by in of)
         return np.where(axis.felt_at_s <= end_s, total / len(taps), 0.0)
 
-    felt = recorded(tap.acceleration for tap in taps)
-    across = [recorded(tap.across[i] for tap in taps) for i in range(min(len(tap.across) for tap in taps))]
-    before, window, after, _ = axis.by_kind(np.stack([felt, *across]) if across else felt)
+    directions = 1 + min(len(tap.across) for tap in taps)
+    felt = [recorded(([tap.acceleration, *tap.across])[i] for tap in taps) for i in range(directions)]
     incoming = float(np.mean([f * tap.incoming_acceleration_m_s2 for f, tap in zip(factors, taps, strict=True)]))
-    free_before, free, free_after, ticks = axis.by_kind(axis.motion(speed_m_s, grip_N, incoming))
-    return Reference(
+    within = axis.within_stacked(directions)
+    blocks = np.split(np.stack(felt), [grid.before_times_s.size, grid.before_times_s.size + grid.stages], axis=-1)
+    stacked = np.concatenate([*map(np.ravel, blocks), axis.motion(speed_m_s, grip_N, incoming)])
+    found = Reference(
         speed_m_s=speed_m_s,
         grip_N=grip_N,
         slow_part_known=all(tap.slow_part_known for tap in taps),
         missing_s=max(float(axis.felt_at_s[-1]) - end_s, 0.0),
-        recorded_m_s2=window,
-        recorded_before_m_s2=before,
-        recorded_after_m_s2=after,
-        free_m_s2=free[0],
-        free_before_m_s2=free_before[0],
-        free_after_m_s2=free_after[0],
-        nominal_position_m=free[1],
-        nominal_velocity_m_s=free[2],
-        nominal_position_at_ticks_m=ticks[1],
         repeatability=repeatability,
         repeatability_unaligned=unaligned,
         taps=tuple(taps),
         factors=np.asarray(factors),
         of_grips_N=of_grips_N,
+        **_views(stacked, within),
     )
+    vars(found).update(stacked=stacked, within_stacked=within)
+    return found
