@@ -14,6 +14,8 @@ import numpy as np
 from common.benchmark_cases import (
     BESIDE,
     STAGES,
+    TWELVE,
+    TWO_HUNDRED,
     Case,
     Iterations,
     Row,
@@ -135,7 +137,9 @@ def ratios(rows: list[Row], taken: list[Iterations]) -> list[str]:
         return found
     mine, beside = (by["saturated", name, STAGES] for name in ("riccati", f"riccati, {BESIDE} side by side"))
     piqp_ms = by["saturated", "piqp", STAGES]
+    twelve, two_hundred = (by["library", name, STAGES] / piqp_ms for name in (TWELVE, TWO_HUNDRED))
     found += [
+        f"12 entries / piqp on one tap: {twelve:.1f} (at most 2), 200 entries: {two_hundred:.1f} (at most 15)",
         f"piqp / riccati on eight entries, each: {BESIDE * piqp_ms / beside:.1f} (at least 35)",
         ratio("saturated", "piqp", "riccati", "at least 10"),
         ratio("saturated", "casadi-piqp", "riccati", "at least 6"),
