@@ -178,13 +178,14 @@ class Reference:
         return np.asarray([factor * tap.amplitude for factor, tap in zip(self.factors, self.taps, strict=True)])
 
 
-def _lags(repeats: FloatArray, step_s: float) -> FloatArray:
-    """(n,) delay of each repeat (n, K) against their mean [s], to a fraction of the step."""
+def _lags(repeats: FloatArray, step_s: float, finer: int) -> FloatArray:
+    """(n,) delay of each repeat (n, K), `finer` steps a sample, against their mean, to a part of a step [s]."""
     reach = round(ALIGNMENT_S / step_s)
-    length = fast_length(repeats.shape[1] + reach)
-    # The correlation is cyclic, padded for the lags considered; negative lags are at the end.
+    length = fast_length(repeats.shape[1] + math.ceil(reach / finer))
+    # The correlation is cyclic, padded for the lags considered; negative lags are at the end. The inverse transform
+    # is longer, so that it has the correlation between the samples too.
     spectra = np.fft.rfft(repeats, length)
-    matches = np.fft.irfft(spectra * spectra.mean(axis=0).conj(), length)
+    matches = np.fft.irfft(spectra * spectra.mean(axis=0).conj(), finer * length)
     lags = []
     for window in np.hstack([matches[:, -reach:], matches[:, : reach + 1]]):
         best = int(np.argmax(window))
@@ -294,16 +295,20 @@ def build_reference(
             )
     shifts, unaligned, repeatability = np.zeros(len(taps)), float("nan"), float("nan")
     if len(taps) > 1:
-        # Similarity and delay of the taps are computed over the window, independently of what follows it.
+        # Similarity and delay of the taps are computed over the window, independently of what follows it, at twice
+        # the rate of the recordings.
+        finer = max(int(min(tap.acceleration.dt_s for tap in taps) / (2 * step_s)), 1)
+
         def compared(shifts_s: FloatArray) -> FloatArray:
-            first_s, count = -step_s * axis.contact, axis.points(grid.end_s)
+            first_s, count = -step_s * axis.contact, axis.points(grid.end_s) // finer
             courses = [
-                tap.acceleration.evenly(first_s + by, step_s, count) for tap, by in zip(taps, shifts_s, strict=True)
+                tap.acceleration.evenly(first_s + by, finer * step_s, count)
+                for tap, by in zip(taps, shifts_s, strict=True)
             ]
             return factors[:, None] * courses
 
         as_recorded = compared(shifts)
-        unaligned, lags = _spread(as_recorded), _lags(as_recorded, step_s)
+        unaligned, lags = _spread(as_recorded), _lags(as_recorded, step_s, finer)
         # Subtract the mean, so that alignment does not move the contact.
         shifts = lags - lags.mean()
         repeatability = _spread(compared(shifts))
