@@ -97,13 +97,13 @@ def _single(check: Check, size_A: float) -> tuple[float, float] | None:
 
 def _of_single(check: Check, size_A: float) -> tuple[float, float] | None:
     s, wanted = check.settings, check.settings.pulse_ticks
-    records, before = [record for _, record in check.records], check.ticks(REST_BETWEEN_PULSES_S / 2)
-    latest = np.flatnonzero([record.command_A != 0 for record in records])[-wanted:]
+    records, before = check.records, check.ticks(REST_BETWEEN_PULSES_S / 2)
+    latest = np.flatnonzero(records.column("command_A"))[-wanted:]
     if latest.size < wanted or latest[-1] - latest[0] != wanted - 1 or latest[0] < before:
         return None
     first = int(latest[0])
-    current = np.array([record.measured_current_A for record in records[first - before : first + wanted]])
-    felt = np.array([record.acceleration_m_s2 for record in records[first - before :]])
+    current = records.column("measured_current_A")[first - before : first + wanted]
+    felt = records.column("acceleration_m_s2")[first - before :]
     late = current[before + wanted // 2 :].mean() - current[:before].mean()
     begin = before + s.pulse_skip_ticks
     pushed = felt[begin : begin + s.pulse_push_ticks].mean() - felt[:before].mean()

@@ -66,12 +66,12 @@ def _is_clock_known(check: Check) -> bool:
 def _carried(check: Check) -> tuple[float, int]:
     """Share of the records that arrived within `LINK_S`, 1 if none was lost or late, and number of damaged frames."""
     before, missed = check.device.session.decoder.bad_frames, check.missed
-    first = check.records[-1][0] if check.records else 0
+    first = check.records.newest or 0
     check.device.listen(LINK_S)
     if not check.records:
         return 0.0, 0
     # A device buffers records, so on a slow line they are late before any is missing.
-    late_s = LINK_S - (check.records[-1][0] - first) * check.dt_s
+    late_s = LINK_S - ((check.records.newest or 0) - first) * check.dt_s
     lost = check.missed - missed + (check.rows(late_s) if late_s > LATE_S else 0)
     return max(1.0 - lost / check.rows(LINK_S), 0.0), check.device.session.decoder.bad_frames - before
 
@@ -140,7 +140,7 @@ def accelerometer(check: Check) -> Verdict:
     while not found.enough and len(check.records) < check.rows(check.patience_s):
         check.device.listen(SHAKE_S)
         found = _shaken(check)
-        if len(check.records) == check.records.maxlen:
+        if len(check.records) == check.records.most:
             break
     check.person.asked("let the stylus rest")
     if not found.enough:

@@ -1,10 +1,9 @@
 """State shared by the steps of the bring-up check: the device, the person at it, readings and results."""
 
-from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from itertools import islice
+from operator import attrgetter
 from typing import Protocol
 
 import numpy as np
@@ -13,7 +12,7 @@ from controller.device.device_file import BUILT_IN, DeviceFile
 from controller.host.diagnosis import Ratios, diagnosis
 from controller.host.driver import Device
 from controller.protocol.codes import LinkNotice
-from controller.protocol.events import Changed, Happened, News, Samples, column
+from controller.protocol.events import Changed, Happened, News, Samples
 from controller.protocol.messages import Record
 from controller.servo.interface import Fault, Notice
 from controller.servo.settings import Settings
@@ -32,6 +31,49 @@ class Person(Protocol):
     def asked(self, what: str) -> None:
         """Ask the person to do something; return at once."""
         ...
+
+
+class Readings:
+    """The newest records of a device, in columns, so that a condition on hundreds of them is read at each message.
+
+    Parameters
+    ----------
+    most : number of records that are kept.
+    """
+
+    _OF = attrgetter(*Record.NAMES)
+
+    def __init__(self, most: int) -> None:
+        self.most = most
+        self._kept, self._begin, self._end = np.empty((2 * most, 1 + len(Record.NAMES))), 0, 0
+
+    def __len__(self) -> int:
+        return self._end - self._begin
+
+    def add(self, samples: Samples) -> None:
+        ticks = range(samples.tick, samples.tick + samples.every * len(samples.records), samples.every)
+        rows = np.array([(tick, *self._OF(each)) for tick, each in zip(ticks, samples.records, strict=True)])
+        rows = rows[-self.most :]
+        if self._end + len(rows) > len(self._kept):
+            # Half of the memory is free again, once in as many records.
+            newest = self._kept[self._begin : self._end]
+            self._kept[: len(newest)] = newest.copy()
+            self._begin, self._end = 0, len(newest)
+        self._kept[self._end : self._end + len(rows)] = rows
+        self._end += len(rows)
+        self._begin = max(self._begin, self._end - self.most)
+
+    def clear(self) -> None:
+        self._begin = self._end
+
+    def column(self, name: str) -> FloatArray:
+        """(n,) one field of each; valid until the next message."""
+        return self._kept[self._begin : self._end, 1 + Record.NAMES.index(name)]
+
+    @property
+    def newest(self) -> int | None:
+        """Tick of the newest; None before one has come."""
+        return int(self._kept[self._end - 1, 0]) if len(self) else None
 
 
 class FailedError(Exception):
@@ -81,7 +123,7 @@ class Check:
         self.found = Ratios()
         self.remarks: list[str] = []
         self.dt_s, self.every = device.hello.dt_s, 1
-        self.records: deque[tuple[int, Record]] = deque(maxlen=round(KEPT_S / self.dt_s))
+        self.records = Readings(round(KEPT_S / self.dt_s))
         self.happened: list[Happened] = []
         self.missed = 0
         self.still_counts = max(round(STILL_M / settings.count_m), STILL_COUNTS)
@@ -93,7 +135,7 @@ class Check:
     def _take(self, news: News) -> None:
         if isinstance(news, Samples):
             self.missed += news.missed
-            self.records.extend((news.tick + j * news.every, r) for j, r in enumerate(news.records))
+            self.records.add(news)
         elif isinstance(news, Happened):
             self.happened.append(news)
 
@@ -149,7 +191,7 @@ class Check:
 
     def catch_up(self, tick: int) -> None:
         """Wait for the records up to a tick, as long as records keep coming."""
-        self.device.catch_up(lambda: self.records[-1][0] if self.records else -1, tick)
+        self.device.catch_up(lambda: -1 if self.records.newest is None else self.records.newest, tick)
 
     def came(self, what: Notice | LinkNotice, begin: int) -> Happened | None:
         """The first event of this kind from index `begin` of `happened` on; None if there is none."""
@@ -162,8 +204,8 @@ class Check:
 
     def column(self, name: str, duration_s: float = WINDOW_S) -> FloatArray:
         """The newest readings, up to this duration of them."""
-        newest = islice(reversed(self.records), self.rows(duration_s))
-        return column((record for _, record in newest), name)[::-1]
+        found = self.records.column(name)
+        return found[max(found.size - self.rows(duration_s), 0) :]
 
     def mean(self, name: str) -> float:
         """Mean over the newest window; NaN before a whole window has come."""
