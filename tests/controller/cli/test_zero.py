@@ -52,7 +52,6 @@ def test_a_surface_of_another_start_is_named_by_the_check(play: Run, touching: D
     """An encoder counts from where it starts: here 5 mm above where it did when the surface was measured."""
     Path("mine.toml").write_text("[encoder]\nsurface_counts = 500.0\n")
     check = ("check", "library.npz", *PORT, "--device", "mine.toml", *LEFT_OUT)
-    assert OTHER_START not in play(*check).out  # stated by hand: it may hold at every start
     assert play("zero", *PORT, "--device", "mine.toml").code == 0
     touching.obeys["hold"]()
     touching.hand.back(touching.now_s())
@@ -62,7 +61,7 @@ def test_a_surface_of_another_start_is_named_by_the_check(play: Run, touching: D
     outcome = play(*check)
     assert f"mine.toml: {OTHER_START}" in outcome.out
     assert "transopt-play zero --port desk --device mine.toml" in outcome.out
-    restate(Path("mine.toml"), "encoder.surface_counts", 0.5)
+    restate(Path("mine.toml"), "encoder.surface_counts", 0.5)  # by hand: it may hold at every start
     assert OTHER_START not in play(*check).out
 
 
