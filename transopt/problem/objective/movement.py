@@ -44,10 +44,6 @@ class Movement:
         by_command[..., :-1] -= by_movement[..., 1:]
         return by_command
 
-    def relief(self, command: FloatArray) -> float:
-        """Decrease of the term per ampere by which I is raised while the command stays [1/A]."""
-        return 2 * self.value(command) / self.input_limit
-
 
 def _moves(command: FloatArray) -> FloatArray:
     """(..., N) changes dc_k of a command (..., N), the first one from zero."""
