@@ -117,6 +117,14 @@ def identify_coil(
     resistance_ohm: Annotated[
         float | None, typer.Option(help="Resistance at 25 C, in ohm, in place of that of the scene's motor.")
     ] = None,
+    resistance_tolerance: Annotated[
+        float | None,
+        typer.Option(help="Share of the resistance within which 95 % of such motors lie; else 0.08, a datasheet's."),
+    ] = None,
+    leads_ohm: Annotated[
+        float | None,
+        typer.Option(help="Most that leads add within voltage_V; 0 at the motor; else 5 % of the resistance."),
+    ] = None,
     ripple_A: Annotated[
         float,
         typer.Option("--ripple-A", help="PWM ripple that heats beside the recorded current; 0: a linear amplifier."),
@@ -125,7 +133,7 @@ def identify_coil(
     units: Units = "",
     rate_Hz: RateHz = None,
 ) -> None:
-    """Thermal resistances and time constants of the coil.
+    """Thermal resistances, time constants and resistance of the coil.
 
     Exit 1: what was found is not fit to design with.
     """
@@ -139,13 +147,13 @@ def identify_coil(
     nominal = _coil_of(scene)
     (run,) = measurements([file], columns, units, rate_Hz)
     R_ohm = nominal.R_ohm if resistance_ohm is None else resistance_ohm
-    record = heat_record(run, R_ohm, ripple_A)
+    record = heat_record(run, R_ohm, ripple_A, R_tolerance=resistance_tolerance, leads_ohm=leads_ohm)
     fit = fit_coil(record, nominal)
     tell(fits.coil_table(fit), fits.noise_line(fit))
     if run.missing:
         tell(f"note: {run.missing}")
     part = CoilPart.model_validate(fit.content([run]))
-    assumed = resistance_ohm is None and scene == DEFAULT_SCENE and record.told_R_ohm is None
+    assumed = resistance_ohm is None and scene == DEFAULT_SCENE and record.electrical is None
     note = (
         f"taken for {R_ohm:g} ohm at 25 C, the default scene's motor, which temperatures cannot tell "
         "(--resistance-ohm): both thermal resistances are in inverse proportion to it"

@@ -14,11 +14,13 @@ LEAST_RISE_K, LEAST_RISE_NOISE = 10.0, 5.0
 COARSEST = 0.2  # largest time between two rows over the winding's time constant
 DRIFT_K = 2.0  # largest drift of the ambient; the model takes it as constant
 SENSING = 0.2  # share of the largest current below which voltage over current gives no temperature
-ROOM_C = 22.0  # of a record that says of its cold start only that it is cold
+R_TOLERANCE = 0.08  # of a resistance at 25 C by the datasheet, in which 95 % of such motors lie
+LEADS = 0.05  # of that resistance: what 95 % of the leads between motor and voltmeter stay below
 _CREDIBLE_C = (-50.0, 400.0)  # temperature of a winding
 LEAST_STEP = 0.1  # least change of the heating, over its maximum, that counts as a step
 _LEAST_NOISE_K = 1e-3
 MOST_RIPPLE_A = 0.5
+MOST_TOLERANCE = 0.5
 
 
 @dataclass(frozen=True)
@@ -48,10 +50,12 @@ class HeatRecord:
     winding, housing : recorded temperatures; None where the housing was not recorded.
     ambient_C : mean; None if not recorded.
     ambient_drift_K : range of the ambient.
-    R_ohm : resistance at 25 C.
+    R_ohm : resistance at 25 C as stated.
+    R_tolerance : share of `R_ohm` within which the true one lies with a probability of 95 %.
+    leads_ohm : resistance in `voltage_V` beside the winding's stays within this with a probability of 95 %.
     ripple_A : PWM ripple of the amplifier, which heats in addition to the recorded current.
-    voltage_R_ohm : (n,) voltage over current, NaN where too little current flows; None if no voltage was recorded.
-    by_voltage : whether the winding's temperature is that of voltage over current.
+    electrical : temperature by voltage over current for a winding of `R_ohm` without leads; None without a voltage.
+        It is `winding` where the winding has no thermometer.
     """
 
     dt_s: float
@@ -61,9 +65,10 @@ class HeatRecord:
     ambient_C: float | None
     ambient_drift_K: float
     R_ohm: float
-    ripple_A: float = PWM_RIPPLE_A
-    voltage_R_ohm: FloatArray | None = None
-    by_voltage: bool = False
+    R_tolerance: float
+    leads_ohm: float
+    ripple_A: float
+    electrical: Channel | None
 
     @cached_property
     def rise_K(self) -> float:
@@ -77,28 +82,6 @@ class HeatRecord:
         """Time during which the heating is above half of its maximum."""
         return float(self.dt_s * np.count_nonzero(self.heating_A2 > 0.5 * self.heating_A2.max()))
 
-    @cached_property
-    def told_R_ohm(self) -> tuple[float, str] | None:
-        """Resistance at 25 C by voltage over current, and whose temperature it is by; None without a voltage.
-
-        A thermometer of the winding tells it throughout. Without one the winding is as warm as what surrounds it when
-        the current begins to heat it.
-        """
-        if self.voltage_R_ohm is None:
-            return None
-        known = np.flatnonzero(np.isfinite(self.voltage_R_ohm))
-        if not self.by_voltage:
-            return _told(self.voltage_R_ohm[known], self.winding.values_C[known]), "winding_C"
-        heated = int(np.argmax(self.heating_A2 > 0.5 * self.heating_A2.max()))
-        few = known[: max(np.searchsorted(known, heated, side="right"), 1)]
-        if self.housing is not None:
-            cold_C, whose = float(np.median(self.housing.values_C[: few[-1] + 1])), "a winding as cold as its housing"
-        elif self.ambient_C is not None:
-            cold_C, whose = self.ambient_C, "a winding as cold as the ambient"
-        else:
-            cold_C, whose = ROOM_C, f"a winding of {ROOM_C:g} C"
-        return _told(self.voltage_R_ohm[few], np.full(few.size, cold_C)), whose
-
     @property
     def cools_unseen(self) -> bool:
         """Whether no temperature of the winding is known at less than half of the heating."""
@@ -106,12 +89,21 @@ class HeatRecord:
         return not np.any(self.winding.weight[cooling] > 0)
 
 
-def heat_record(run: Measurement, R_ohm: float, ripple_A: float = PWM_RIPPLE_A) -> HeatRecord:
+def heat_record(
+    run: Measurement,
+    R_ohm: float,
+    ripple_A: float = PWM_RIPPLE_A,
+    *,
+    R_tolerance: float | None = None,
+    leads_ohm: float | None = None,
+) -> HeatRecord:
     """The heating record of a file; without `winding_C` the winding's temperature follows from voltage over current.
 
     Parameters
     ----------
     R_ohm : resistance at 25 C, > 0.
+    R_tolerance : share of `R_ohm` within which the true one lies with a probability of 95 %; None for `R_TOLERANCE`.
+    leads_ohm : 95 % bound of the leads' resistance within `voltage_V`; None for `LEADS` of `R_ohm`.
     ripple_A : PWM ripple that heats in addition to the recorded current; 0 for a linear amplifier, or where the
         recorded current is an rms value that includes the ripple.
 
@@ -122,6 +114,15 @@ def heat_record(run: Measurement, R_ohm: float, ripple_A: float = PWM_RIPPLE_A) 
     current = run.require("current")
     if not 0 < R_ohm < np.inf:
         raise InputError(f"--resistance-ohm {R_ohm:g}: must be > 0 and finite")
+    R_tolerance = R_TOLERANCE if R_tolerance is None else R_tolerance
+    if not 0 <= R_tolerance <= MOST_TOLERANCE:
+        raise InputError(
+            f"--resistance-tolerance {R_tolerance:g}: must be 0 to {MOST_TOLERANCE:g} of the resistance; a datasheet "
+            f"is good to {R_TOLERANCE:g}"
+        )
+    leads_ohm = LEADS * R_ohm if leads_ohm is None else leads_ohm
+    if not 0 <= leads_ohm < np.inf:
+        raise InputError(f"--leads-ohm {leads_ohm:g}: must be >= 0 and finite; 0 if measured at the motor")
     if not 0 <= ripple_A <= MOST_RIPPLE_A:
         raise InputError(f"--ripple-A {ripple_A:g} A: must be 0 to {MOST_RIPPLE_A:g} A; 0 for a linear amplifier")
     largest = float(np.abs(current.values).max())
@@ -130,12 +131,9 @@ def heat_record(run: Measurement, R_ohm: float, ripple_A: float = PWM_RIPPLE_A) 
             f"{run.name}: current stays below {largest:.2g} A: nothing heats the coil; record current_A "
             "while it is heated"
         )
-    resistance = None if run.voltage is None else _voltage_over_current(current.values, run.voltage.values)
-    if run.winding is not None:
-        winding = _channel(run.winding)
-    elif resistance is not None:
-        winding = _by_resistance(run.name, current.values, resistance, R_ohm)
-    else:
+    electrical = None if run.voltage is None else _electrical(run.name, current.values, run.voltage.values, R_ohm)
+    winding = electrical if run.winding is None else _channel(run.winding)
+    if winding is None:
         raise InputError(f"{run.name}: neither winding_C nor voltage_V: record one of them, or {BY_NAME}")
     ambient = run.ambient
     record = HeatRecord(
@@ -146,9 +144,10 @@ def heat_record(run: Measurement, R_ohm: float, ripple_A: float = PWM_RIPPLE_A) 
         ambient_C=None if ambient is None else float(ambient.values.mean()),
         ambient_drift_K=0.0 if ambient is None else _drift(ambient.values),
         R_ohm=R_ohm,
+        R_tolerance=R_tolerance,
+        leads_ohm=leads_ohm,
         ripple_A=ripple_A,
-        voltage_R_ohm=resistance,
-        by_voltage=run.winding is None,
+        electrical=electrical,
     )
     if np.ptp(record.heating_A2) < LEAST_STEP * record.heating_A2.max():
         raise InputError(
@@ -183,28 +182,19 @@ def _noise(values: FloatArray) -> float:
     return max(float(np.sqrt(np.median(np.diff(values, 2) ** 2) / 6 / 0.4549)), rounding, _LEAST_NOISE_K)
 
 
-def _told(resistance_ohm: FloatArray, winding_C: FloatArray) -> float:
-    """Resistance at 25 C of a winding with these resistances (n,) at these temperatures (n,)."""
-    return float(np.median(np.abs(resistance_ohm) / (1 + COPPER_PER_K * (winding_C - RESISTANCE_REFERENCE_C))))
-
-
-def _voltage_over_current(current_A: FloatArray, voltage_V: FloatArray) -> FloatArray:
-    """(n,) resistance where enough current flows, else NaN.
+def _electrical(name: str, current_A: FloatArray, voltage_V: FloatArray, R_ohm: float) -> Channel:
+    """Winding temperature from voltage over current, where enough flows; its variance is proportional to 1 / i^2.
 
     Noise of the current biases the temperature by (noise / i)^2 / alpha: 0.1 K for 5 mA in 0.25 A; hence `SENSING`.
     """
-    known = np.abs(current_A) > SENSING * np.abs(current_A).max()
-    return np.where(known, voltage_V / np.where(known, current_A, 1.0), np.nan)
-
-
-def _by_resistance(name: str, current_A: FloatArray, resistance_ohm: FloatArray, R_ohm: float) -> Channel:
-    """Winding temperature from the resistance (n,), NaN where unknown; its variance is proportional to 1 / i^2."""
-    share, known = np.abs(current_A) / np.abs(current_A).max(), np.isfinite(resistance_ohm)
-    temperature = RESISTANCE_REFERENCE_C + (np.where(known, resistance_ohm, R_ohm) / R_ohm - 1) / COPPER_PER_K
+    share = np.abs(current_A) / np.abs(current_A).max()
+    known = share > SENSING
+    resistance = np.where(known, voltage_V / np.where(known, current_A, 1.0), R_ohm)
+    temperature = RESISTANCE_REFERENCE_C + (resistance / R_ohm - 1) / COPPER_PER_K
     strong = temperature[share > 0.5]
     if strong.size < 4 or not _CREDIBLE_C[0] < float(np.median(strong)) < _CREDIBLE_C[1]:
         raise InputError(
-            f"{name}: voltage over current is {np.median(resistance_ohm[known]):.3g} ohm, which makes the winding "
+            f"{name}: voltage over current is {np.median(resistance[known]):.3g} ohm, which makes the winding "
             f"{np.median(temperature[known]):.0f} C at R_25 = {R_ohm:g} ohm: check sign and unit of voltage_V and "
             "the resistance at 25 C of this motor (--resistance-ohm)"
         )

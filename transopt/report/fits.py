@@ -31,6 +31,7 @@ COIL = {  # name in `transopt.identify.coil.NAMES` -> what it belongs to, and it
     "R_ha_K_W": ("housing over ambient", "K/W"),
     "tau_w_s": ("winding", "s"),
     "tau_h_s": ("housing", "s"),
+    "R_ohm": ("winding at 25 C", "ohm"),
 }
 HAND = {"mass_kg": ("m", "kg"), "damping_N_s_m": ("b", "N s/m"), "stiffness_N_m": ("k", "N/m")}
 HAND_PANELS = (
@@ -211,18 +212,19 @@ def coil_figure(fit: "CoilFit") -> Figure:
 
 
 def coil_table(fit: "CoilFit") -> Table:
-    """Thermal resistances and time constants with their 95 % intervals."""
+    """Thermal resistances, time constants and resistance with their 95 % intervals."""
     rows = []
     for (name, (of, unit)), (low, high) in zip(COIL.items(), fit.intervals, strict=True):
         rows.append((f"{name}, {of}", f"{getattr(fit.coil, name):.4g}", f"{low:.4g}", f"{high:.4g}", unit))
-    return value_table(f"coil of {fit.record.R_ohm:g} ohm at 25 C", rows)
+    return value_table(f"coil, stated as {fit.record.R_ohm:g} ohm +- {100 * fit.record.R_tolerance:g} %", rows)
 
 
 def noise_line(fit: "CoilFit") -> str:
     """Which temperatures were fitted, and how close the model comes to them."""
     channels = "the winding" if fit.record.housing is None else "winding and housing"
     noise = f"noise of the winding {fit.record.winding.noise_K:.2g} K, residuals {fit.misfit:.2f} times the noise"
-    return f"from {channels}, {noise}"
+    leads = "" if fit.record.electrical is None else f", {fit.leads_ohm:.2g} ohm of leads within the voltage"
+    return f"from {channels}, {noise}{leads}"
 
 
 def hand_figure(fit: "HandFit") -> Figure:

@@ -327,7 +327,7 @@ class FourthOrderHand(_HeldHand):
 
 
 class CoilPart(FittedPart):
-    """Thermal resistances and time constants of winding and housing.
+    """Thermal resistances and time constants of winding and housing, and the resistance that makes the heat.
 
     Attributes
     ----------
@@ -335,12 +335,14 @@ class CoilPart(FittedPart):
     R_ha_K_W : thermal resistance from housing to ambient.
     tau_w_s : time constant of the winding.
     tau_h_s : time constant of the housing.
+    R_ohm : resistance of the winding at 25 C; None in files of older versions, which leave it to the motor's.
     """
 
     R_wh_K_W: Positive
     R_ha_K_W: Positive
     tau_w_s: Positive
     tau_h_s: Positive
+    R_ohm: Positive | None = None
 
 
 DevicePart = Annotated[DriveDevice | StateSpaceDevice, Field(discriminator="kind")]

@@ -410,10 +410,12 @@ class Scene(Section):
             return None
         identified = self.model.coil if isinstance(self.model, IdentifiedModel) else None
         heat = winding if identified is None else identified
+        # A thermal resistance means something with the resistance that it was found for.
+        R_ohm = (None if identified is None else identified.R_ohm) or circuit.R_ohm
         bridge = self.bridge()
         return CoilModel(
             ripple_A=PWM_RIPPLE_A if bridge is None else bridge.ripple_A,
-            R_ohm=circuit.R_ohm * (1.0 if bridge is None else bridge.heat_factor),
+            R_ohm=R_ohm * (1.0 if bridge is None else bridge.heat_factor),
             R_wh_K_W=heat.R_wh_K_W,
             R_ha_K_W=heat.R_ha_K_W,
             tau_w_s=heat.tau_w_s,

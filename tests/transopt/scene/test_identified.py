@@ -168,6 +168,8 @@ class TestTheSameDevice:
     def test_the_coil_is_the_identified_one(self, make: Make) -> None:
         coil = make(ON_FILE, {"device": drive_device(), "coil": coil_part(R_wh_K_W=4.5, tau_w_s=20.0)}).coil()
         assert (coil.R_ohm, coil.R_wh_K_W, coil.tau_w_s, coil.tau_h_s) == (2.18, 4.5, 20.0, 612.0)
+        heated = make(ON_FILE, {"device": drive_device(), "coil": coil_part(R_ohm=2.5)})
+        assert (heated.coil().R_ohm, heated.circuit().R_ohm) == (2.5, 2.18)
 
     def test_without_a_motor_there_is_a_device_but_no_coil(self, make: Make, taps: list[Recording]) -> None:
         scene = make(ON_FILE, {"device": drive_device()}, (DRIVE, ""), SMALL)
