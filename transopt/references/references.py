@@ -86,10 +86,12 @@ class References:
     ----------
     cells : one per recorded speed and grip, speeds outermost and both increasing; or one per named target.
     notes : what a user should know about how they were made, one sentence each.
+    axis : makes the motions without current of hands at other grips than the cells'; None if the cells' are blended.
     """
 
     cells: tuple[Reference, ...] = ()
     notes: tuple[str, ...] = ()
+    axis: TimeAxis | None = None
 
     __repr__ = brief
 
@@ -138,7 +140,7 @@ class References:
 
         Near a recorded speed this is the scaling by v / v1 of a tap near a grid speed (`assign`). All courses follow
         the rule, which keeps dz_nom/dt = -v at contact and d2z_nom/dt2 = a_free. At one speed r is linear in grip;
-        outside the grips recorded at that speed it is that of the nearest one.
+        outside the grips recorded at that speed it is that of the nearest one. a_free is the hand's at the grip.
         The result lists the scaled taps of all cells it is made from; its repeatability is the largest of theirs.
 
         Raises
@@ -172,11 +174,20 @@ class References:
         if abs(nearest.grip_N - grip_N) <= ROUNDING * grip_N:
             return nearest
         if not grips[0] < grip_N < grips[-1]:
-            return replace(nearest, grip_N=grip_N)
+            return self._held(replace(nearest, grip_N=grip_N), nearest.incoming_acceleration_m_s2)
         j = bisect_left(grips, grip_N)
         low, high = row[j - 1], row[j]
         w = (grip_N - low.grip_N) / (high.grip_N - low.grip_N)
-        return _blend(low, high, w, grip_N=grip_N, of_grips_N=(*low.of_grips_N, *high.of_grips_N))
+        found = _blend(low, high, w, grip_N=grip_N, of_grips_N=(*low.of_grips_N, *high.of_grips_N))
+        return self._held(found, (1 - w) * low.incoming_acceleration_m_s2 + w * high.incoming_acceleration_m_s2)
+
+    def _held(self, found: Reference, incoming_m_s2: float) -> Reference:
+        """A reference with the motion without current of the hand at its grip, which yields unlike one at another."""
+        if self.axis is None or found.aims_at_recorded:  # a hand that goes straight on does so at any grip
+            return found
+        recorded = found.stacked[: found.within_stacked["free_before_m_s2"][0].start]
+        moved = self.axis.motion(found.speed_m_s, found.grip_N, incoming_m_s2)
+        return found.with_courses(np.concatenate([recorded, moved]))
 
     def remarks(self, grips_N: Sequence[float]) -> list[str]:
         """Parts of a design at these grips that rest on taps of other grips, one sentence each; `notes` included."""
@@ -345,7 +356,7 @@ def build_references(
                 cells.append(build_reference(speed, mean, of, np.array(factors), axis, (mean,)))
                 if alike[-1] > alike[0]:
                     notes += [f"taps of {alike[0]:.4g} to {alike[-1]:.4g} N are taken as of one grip, {mean:.4g} N"]
-    return References(tuple(cells), tuple(dict.fromkeys(notes)))
+    return References(tuple(cells), tuple(dict.fromkeys(notes)), axis)
 
 
 def sampled_again(references: References, grid: TimeGrid, free: Free) -> References:
@@ -363,4 +374,4 @@ def sampled_again(references: References, grid: TimeGrid, free: Free) -> Referen
             )
     axis = TimeAxis(grid, free)
     cells = (build_reference(c.speed_m_s, c.grip_N, c.taps, c.factors, axis, c.of_grips_N) for c in references)
-    return replace(references, cells=tuple(cells))
+    return replace(references, cells=tuple(cells), axis=axis)

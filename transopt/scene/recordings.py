@@ -11,7 +11,6 @@ from transopt.plant.intention import FreeMotion
 from transopt.recordings.recording import Recording
 from transopt.recordings.settings import Recordings
 from transopt.recordings.tap import read_recordings as read_files
-from transopt.references.reference import Free
 from transopt.references.references import References, build_references
 from transopt.references.references import sampled_again as taps_sampled_again
 from transopt.references.targets import target_references
@@ -75,16 +74,16 @@ def recordings_of(scene: Scene) -> list[Recording]:
     return read_files(scene.recordings) if scene.recordings.files else []
 
 
-def free_of(scene: Scene) -> Free:
+class FreeOf:
     """The motion without current of the stylus in a scene's recordings, by its table `[hand]`."""
-    kept: dict[float, FreeMotion] = {}
 
-    def free(speed_m_s: float, grip_N: float, incoming_m_s2: float) -> Callable[[FloatArray], FloatArray]:
-        if grip_N not in kept:
-            kept[grip_N] = scene.free_motion(grip_N)
-        return partial(kept[grip_N].acceleration_m_s2, speed_m_s, incoming_m_s2)
+    def __init__(self, scene: Scene) -> None:
+        self._scene, self._kept = scene, dict[float, FreeMotion]()
 
-    return free
+    def __call__(self, speed_m_s: float, grip_N: float, incoming_m_s2: float) -> Callable[[FloatArray], FloatArray]:
+        if grip_N not in self._kept:
+            self._kept[grip_N] = self._scene.free_motion(grip_N)
+        return partial(self._kept[grip_N].acceleration_m_s2, speed_m_s, incoming_m_s2)
 
 
 def references_of(scene: Scene, recordings: Sequence[Recording]) -> References:
@@ -98,7 +97,7 @@ def references_of(scene: Scene, recordings: Sequence[Recording]) -> References:
         return target_references(scene.targets, scene.time_grid(), scene.recordings)
     grid = scene.grid
     return build_references(
-        recordings, grid.speeds_m_s, grid.grips_N, scene.time_grid(), scene.recordings, free_of(scene)
+        recordings, grid.speeds_m_s, grid.grips_N, scene.time_grid(), scene.recordings, FreeOf(scene)
     )
 
 
@@ -111,4 +110,4 @@ def sampled_again(scene: Scene, references: References) -> References:
     """
     if scene.targets:
         return references_of(scene, ())
-    return taps_sampled_again(references, scene.time_grid(), free_of(scene))
+    return taps_sampled_again(references, scene.time_grid(), FreeOf(scene))

@@ -1,6 +1,7 @@
 """References: one for each tap, and those of a grid."""
 
 import itertools
+import pickle
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -8,6 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from controller.sim.simulator import Simulator
+from controller.sim.true_device import device_of
+from controller.sim.user import TapUser
 from tests.benches.pulses import pulse
 from transopt.base.errors import InputError
 from transopt.base.filters import highpass
@@ -20,7 +24,7 @@ from transopt.recordings.tap import prepare
 from transopt.references.reference import COURSES, Free, Reference, TimeAxis, build_reference
 from transopt.references.references import References, assign, grip_groups
 from transopt.scene.keys import with_values
-from transopt.scene.recordings import references_of
+from transopt.scene.recordings import references_of, sampled_again
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings, strike
 
@@ -149,6 +153,34 @@ class TestMissing:
             "0.1, 0.2, 0.3 and 0.4 m/s, 0.5 and 6 N: taps of 1, 3 and 5 N only, that of the nearest grip serves",
             "0.1, 0.2, 0.3 and 0.4 m/s, 2 N: blended from the taps of 1, 3 and 5 N",
         ]
+
+    @pytest.mark.parametrize(("speed_m_s", "a0_m_s2"), [(0.3, 0.0), (0.37, 0.0), (0.3, 3.0), (0.37, 3.0)])
+    @pytest.mark.parametrize("grip_N", [1.0, 4.0])
+    def test_without_current_the_stylus_moves_as_in_the_hand_at_the_grip(
+        self, scene: Scene, gripped: list[Recording], grip_N: float, speed_m_s: float, a0_m_s2: float
+    ) -> None:
+        """The simulator is the judge. The hand of the recordings, at 3 N, would be 1.3 of 5.6 m/s^2 off at 1 N."""
+        yielding = with_values(scene, {"hand.yields": "brakes"})
+        made = some(yielding, gripped, lambda speed, grip: grip == 3.0)
+        came = [
+            replace(cell, taps=tuple(replace(tap, incoming_acceleration_m_s2=a0_m_s2) for tap in cell.taps))
+            for cell in made
+        ]
+        found = pickle.loads(pickle.dumps(sampled_again(yielding, replace(made, cells=tuple(came)))))
+        cell, grid, w = found.at(speed_m_s, grip_N), yielding.time_grid(), (speed_m_s - 0.3) / 0.1
+        slow, fast = (each.incoming_acceleration_m_s2 / each.speed_m_s for each in found.cells[2:])
+        hand = yielding.hand.intention()
+        user = TapUser(speed_m_s, grip_N, 0.1, hand, incoming_m_s2=speed_m_s * ((1 - w) * slow + w * fast))
+        simulator = Simulator(device_of(yielding), user, grid.dt_s, trace=True)
+        for _ in range(round((0.1 + grid.end_s) / grid.dt_s)):
+            simulator.advance(0.0)
+        trace = simulator.trace()
+        truth = np.interp(grid.switching_times_s, trace.times_s - 0.1, trace.acceleration_m_s2)
+        np.testing.assert_allclose(cell.free_m_s2, truth, atol=0.02 * np.abs(truth).max())
+        # z_nom follows it, at the switching instants and at the ticks.
+        for z_m in (cell.nominal_position_m, cell.nominal_position_at_ticks_m[: grid.stages]):
+            bent = np.diff(z_m, 2) / grid.dt_s**2
+            np.testing.assert_allclose(bent, truth[1:-1], atol=0.1 * np.abs(truth).max())
 
     def test_between_speeds_the_shape_is_blended_at_the_grip(self, whole: References) -> None:
         found, slow, fast = whole.at(0.25, 2.0), whole.at(0.2, 2.0), whole.at(0.3, 2.0)
