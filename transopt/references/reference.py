@@ -27,6 +27,7 @@ Free = Callable[[float, float, float], Callable[[FloatArray], FloatArray]]
 
 ALIGNMENT_S = 1e-3  # largest shift of repeats against each other
 SETTLING_S = 20e-3  # the filters start this long before contact
+FADING_S = 5e-3  # before its end a tap fades out of the mean of those that go on, so that the mean has no step
 
 # Fields of a reference that are courses over time; all are blended by the same rule. Those of one quantity follow
 # each other in time.
@@ -84,7 +85,7 @@ class Reference:
     between_m_s : the two recorded speeds that it is blended from; None if its speed was recorded.
     of_grips_N : recorded grips that it is made from: its own or the nearest one, or those it is blended from; empty
         if its taps state no grip and serve every grip.
-    missing_s : end of the tail that its shortest recording does not reach, where r counts as zero.
+    missing_s : end of the tail that none of its recordings reaches, where r counts as zero.
     slow_part_known : whether frequencies below those of the tap were recorded, so that the unfiltered error has
         meaning.
     name : name of a named target, which has no speed; empty for a tap.
@@ -270,8 +271,8 @@ def build_reference(
 ) -> Reference:
     """Scale, align and average the taps of one grid speed and grip.
 
-    Their mean is r, up to the end of the shortest tap. z_nom integrates a_free twice from z = 0, dz/dt = -speed at
-    contact.
+    Their mean is r, at each instant that of the taps that reach it, up to the end of the longest one. z_nom
+    integrates a_free twice from z = 0, dz/dt = -speed at contact.
 
     Parameters
     ----------
@@ -312,12 +313,15 @@ def build_reference(
         # Subtract the mean, so that alignment does not move the contact.
         shifts = lags - lags.mean()
         repeatability = _spread(compared(shifts))
-    end_s = min(tap.acceleration.end_s - by for tap, by in zip(taps, shifts, strict=True))
+    ends_s = np.array([tap.acceleration.end_s - by for tap, by in zip(taps, shifts, strict=True)])
+    left = np.subtract.outer(ends_s, axis.felt_at_s) / FADING_S
+    shares = np.where(left >= 0, np.clip(left, 1e-9, 1.0), 0.0)
+    count = np.maximum(shares.sum(axis=0), np.finfo(float).tiny)  # so the last one alone counts in full up to its end
 
     def recorded(signals: Iterable[Signal]) -> FloatArray:
-        first_s, count, of = float(axis.felt_at_s[0]), axis.felt_at_s.size, zip(factors, signals, shifts, strict=True)
-        total = sum(factor * x.evenly(first_s + by, grid.dt_s, count) for factor, x, by in of)
-        return np.where(axis.felt_at_s <= end_s, total / len(taps), 0.0)
+        first_s, of = float(axis.felt_at_s[0]), zip(shares, factors, signals, shifts, strict=True)
+        total = sum(share * factor * x.evenly(first_s + by, grid.dt_s, count.size) for share, factor, x, by in of)
+        return np.asarray(total / count)
 
     directions = 1 + min(len(tap.across) for tap in taps)
     felt = [recorded(([tap.acceleration, *tap.across])[i] for tap in taps) for i in range(directions)]
@@ -329,7 +333,7 @@ def build_reference(
         speed_m_s=speed_m_s,
         grip_N=grip_N,
         slow_part_known=all(tap.slow_part_known for tap in taps),
-        missing_s=max(float(axis.felt_at_s[-1]) - end_s, 0.0),
+        missing_s=max(float(axis.felt_at_s[-1] - ends_s.max()), 0.0),
         repeatability=repeatability,
         repeatability_unaligned=unaligned,
         taps=tuple(taps),

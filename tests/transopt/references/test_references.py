@@ -417,11 +417,26 @@ class TestBesideTheWindow:
             found.recorded_after_m_s2[recorded], whole.recorded_after_m_s2[recorded], atol=1e-3
         )
 
-    def test_a_mean_ends_where_the_shortest_repeat_does(self) -> None:
-        found = self.reference(LASTING, pulse(name="long"), pulse(duration_s=0.055, name="short"))
-        since_s = LASTING.after_times_s - 35e-3
-        np.testing.assert_array_equal(found.recorded_after_m_s2[since_s > 0], 0.0)
-        assert np.abs(found.recorded_after_m_s2[since_s < -2e-4]).min() > 0
+    def test_a_repeat_that_ends_leaves_the_mean_to_those_that_go_on_without_a_step(self) -> None:
+        """One of two courses that stay 2 m/s^2 apart ends within the tail: r was zero from there on."""
+
+        def level(a_m_s2: float, recorded_s: float) -> Recording:
+            values = pulse(duration_s=recorded_s).acceleration.values
+            later = np.arange(values.size) * 1e-4 > 0.03
+            name = f"{a_m_s2:g} m/s^2 for {recorded_s:g} s"
+            return replace(pulse(), name=name, acceleration=Signal(0.0, 1e-4, values + a_m_s2 * later))
+
+        long, ends_s = level(-6.0, 0.1), 35e-3
+        found = self.reference(LASTING, long, level(-4.0, 0.02 + ends_s))
+        alone, both = self.reference(LASTING, long), self.reference(LASTING, long, level(-4.0, 0.1))
+        r, since_s = found.recorded_after_m_s2, LASTING.after_times_s - ends_s
+        assert found.missing_s == alone.missing_s
+        gone, yet = since_s > 1e-3, since_s < -6e-3  # the taps are shifted by less than 1 ms to be alike
+        np.testing.assert_allclose(r[gone], alone.recorded_after_m_s2[gone], atol=1e-2)
+        np.testing.assert_allclose(r[yet], both.recorded_after_m_s2[yet], atol=1e-2)
+        assert np.abs(np.diff(r)).max() < 0.1
+        assert r.min() > -6.1
+        assert r.max() < -4.9
 
     def test_a_file_has_to_reach_the_windows_end_and_no_further(self) -> None:
         needed_s = 0.02 + LASTING.switching_times_s[-1]
