@@ -39,6 +39,7 @@ COARSE = 0.1  # share of the noise due to a converter's rounding above which it 
 FEW_LEVELS = 0.2  # distinct values over samples up to which a converter's steps are looked for
 MISFIT_RELATIVE = 0.06  # mean relative error (0.5 dB) above which a band lacks fit
 SMOOTHED_BINS = 9
+MOST_APART = 1.25  # factor between the scales of accelerometer and encoder, either way; a check finds a fifth
 NOT_LINEAR_DB = 1.0  # difference between the hand of one grip and the lines over all grips that the user is warned of
 
 
@@ -50,6 +51,18 @@ def two_clocks(recorded_s: float, servo_s: float | None) -> list[str]:
         f"clock: the files state {1 / recorded_s:.6g} samples per second, the scene's servo has {1 / servo_s:.6g}: "
         f"one of the two is {100 * abs(recorded_s / servo_s - 1):.2g} % off, and with it every spring and mass; "
         "state the servo's own time in the files, or its period in the scene (time.dt_s)"
+    ]
+
+
+def scales_apart(chain: ChainFit | None, chosen: Candidate) -> list[str]:
+    """The shortfall of a chain whose accelerometer and encoder contradict each other by more than sensors are off."""
+    gain = next((one.value for one in chain.nuisances if one.name == "gain"), 1.0) if chain is not None else 1.0
+    if chosen.kind is not Kind.DRIVE or 1 / MOST_APART <= gain <= MOST_APART:
+        return []
+    return [
+        f"acceleration and position: {gain:.3g} times apart (at most {MOST_APART:g}), and if it is the encoder, the "
+        f"model answers a current {1 / gain:.3g} times as much as the device: measure a known way (encoder) and turn "
+        "the accelerometer over (2 g), correct the scale of the one that is off, and identify again"
     ]
 
 

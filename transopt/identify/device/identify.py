@@ -86,6 +86,7 @@ def identify(
     if chain is not None and chosen.kind is Kind.DRIVE:
         advised += findings.about_chain(chain, own_hands)
     causes, wrong = ["clock"], findings.two_clocks(records.instrument.dt_s, settings.servo_s)
+    apart = findings.scales_apart(chain, chosen)
     if not wrong:  # with a wrong clock, an apparent gain or pole would only compensate for it
         longest = max(run.require("acceleration").values.size for grip in grips for run in grip.fitted)
         beside_it = [] if drift is None else [drift.finding(longest)]
@@ -106,7 +107,7 @@ def identify(
         causes=causes,
         findings=found,
         advice=advised,
-        short=wrong,
+        short=[*wrong, *apart],
     )
     taps = None if settings.taps is None else settings.taps(device_part(result))
     if taps is None:
@@ -114,7 +115,8 @@ def identify(
     tick("verdict")
     predicted = validation.predict_taps(error, taps)
     uncovered = validation.not_covered(error, taps)
-    return replace(result, predicted=predicted, short=[*wrong, *validation.short_of(predicted)], uncovered=uncovered)
+    short = [*result.short, *validation.short_of(predicted)]
+    return replace(result, predicted=predicted, short=short, uncovered=uncovered)
 
 
 def _ready(

@@ -15,6 +15,7 @@ from transopt.identify.device.chain_fit import ChainFit, fit_chain
 from transopt.identify.device.cleaned import NOTICED, TAKEN_HZ, delay_samples, leakage, without_delay
 from transopt.identify.device.findings import noise_findings
 from transopt.identify.device.identify import identify
+from transopt.identify.device.result import device_part
 from transopt.identify.device.trials import instrument_of, sort_trials
 from transopt.identify.findings import Finding
 from transopt.identify.measurement import Measurement
@@ -89,6 +90,18 @@ def test_what_was_found_is_named_with_what_to_do(runs: list[Measurement]) -> Non
     said = " | ".join(str(finding) for finding in result.findings)
     assert "no file states it: taken out of the records" in said
     assert re.search(r"1\.2\d* times what the encoder says: either is off scale, .* 0\.8\d+ times as much", said)
+
+
+@pytest.mark.parametrize(("counts", "refused"), [(1.3, True), (1 / 1.3, True), (1.2, False), (1.0, False)])
+def test_an_encoder_far_off_scale_is_refused(runs: list[Measurement], counts: float, refused: bool) -> None:
+    """Every mass, and what the model makes of a current, would be off by as much."""
+    spoiled = [spoilt(run, "position", lambda x: counts * x) for run in runs]
+    result = identify(spoiled, [], replace(SETTINGS, random_starts=0))
+    assert bool(result.short) is refused
+    assert device_part(result).shortfalls == result.short
+    if refused:
+        apart, answers = re.search(r"position: (\S+) times apart .* a current (\S+) times", result.short[0]).groups()
+        assert (float(apart), float(answers)) == pytest.approx((1 / counts, counts), rel=0.01)
 
 
 def test_the_drift_of_a_second_clock_is_found_and_taken_out(rig: Rig, runs: list[Measurement]) -> None:
