@@ -250,7 +250,7 @@ def device() -> Talker:
 
 def test_the_core_outlives_a_host_that_asks_and_never_listens() -> None:
     core, decoder = ProbedDevice(1, simulated=True), Decoder()
-    for session in range(1000):
+    for session in range(1, 1001):
         core.receive(encode(m.Frame(1, session, m.Hello(m.MAGIC, m.PROTOCOL, 0)).payload()))
     assert core.look().lost_frames > 100
     said = decoder.feed(core.bytes_to_send())

@@ -102,6 +102,19 @@ def test_a_late_hello_of_the_same_session_does_not_disarm() -> None:
     assert (reply.nonce, reply.boot, reply.evidence) == (6, 7, 3)
 
 
+def test_a_session_of_number_0_is_none() -> None:
+    """It is what a host has before its HELLO, and would take the answers of another for its own."""
+    bench = Talker()
+    dropped = bench.device.look().dropped_frames
+    assert bench.put(m.Hello(m.MAGIC, m.PROTOCOL, 6), session=0) == []
+    assert bench.device.look().dropped_frames == dropped + 1
+    # The session that is open goes on; and whoever has none may stop the device all the same.
+    assert bench.put(m.Evidence(), sequence=2)
+    bench.put(m.EmergencyStop(), session=0)
+    bench.step(1)
+    assert bench.device.look().fault is Fault.HOST_STOP
+
+
 def test_a_pulse_is_small_short_and_told() -> None:
     bench = Talker()
     assert bench.refused(m.Pulse(0.05, 50, 0)) is Reason.NO_CONFIGURATION

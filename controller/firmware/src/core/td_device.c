@@ -411,7 +411,7 @@ static reply take_payload(td_device *device, const uint8_t *payload, size_t size
         device->dropped_frames++;
         return no_reply;
     }
-    if (kind == TD_KIND_HELLO)
+    if (kind == TD_KIND_HELLO && session != 0) /* 0 is no session: frames of none have it */
         return greet(device, sequence, session, td_get_u32(body + TD_HELLO_NONCE));
     ours = device->open && session == device->session;
     if (ours)
