@@ -71,7 +71,7 @@ def load(device: "Device", given: "Load", console: "Console") -> None:
     from controller.device.rail import range_in_words
     from controller.device.stated import grip_in_words
     from controller.host.kept import library_in_words, remember_library
-    from controller.host.payload import Payload, fitted, need_hardware
+    from controller.host.payload import Payload, fitted, heat_in_words, need_hardware
     from controller.protocol.events import capacity_of
     from controller.protocol.image import sha256
 
@@ -94,8 +94,8 @@ def load(device: "Device", given: "Load", console: "Console") -> None:
         named += f", in place of {library_in_words(before)}" if any(before) else ""
     words = f"{words}: {named}"
     console.print(f"{device.name}: {words}")
-    if cost:
-        console.print(f"{device.name}: {cost}")
+    for said in filter(None, (cost, heat_in_words(given.settings, device.hello))):
+        console.print(f"{device.name}: {said}")
     if isinstance(given, Payload):
         for words in (of(given.device, given.library) for of in (grip_in_words, range_in_words)):
             if words:

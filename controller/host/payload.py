@@ -195,6 +195,19 @@ def need_hardware(settings: Settings, hello: HelloReply) -> None:
             )
 
 
+def heat_in_words(settings: Settings, hello: HelloReply) -> str:
+    """A sentence on settings without a coil on a device that knows its own; empty otherwise.
+
+    The device scales nothing for a warm coil then: its hardware's estimate ends what is played with a fault.
+    """
+    if settings.coil is not None or not hello.has_coil:
+        return ""
+    return (
+        "no coil is stated for what is played, nothing is scaled for a warm one: the device's own estimate cuts at "
+        f"{hello.limit_C:g} C (OVER_TEMPERATURE): state [motor] in the scene, or pause between taps"
+    )
+
+
 def _excitation_limit_A(hello: HelloReply, device: DeviceFile) -> float:
     """Current limit without a library: the hardware's if a coil model limits the heat, else a conservative one."""
     if not hello.has_coil:

@@ -1,10 +1,13 @@
 """`transopt-play` on a device: what it says of ports, devices and options that will not do."""
 
+from dataclasses import replace
+
 import pytest
 
 from controller.cli import port as port_commands
 from controller.host.transport import Listed
 from controller.protocol.capacity import Hardware
+from controller.servo.settings import Settings
 from tests.benches.commands import Run, assert_refused
 from tests.benches.desk import PORT, Desk
 from tests.benches.device import reframed
@@ -34,6 +37,24 @@ def test_a_library_that_does_not_fit(play: Run, library: Library, monkeypatch: p
     )
     Desk(library, hardware=Hardware(dt_s=2e-4)).put(monkeypatch)
     assert_refused(play("upload", "library.npz", *PORT), "servo period or lead differ", "(device saw 0.0001)")
+
+
+def test_a_coil_that_only_the_device_knows_is_told(
+    play: Run, library: Library, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It ends a tap by its own estimate, while the host's prediction of heat is of no coil."""
+    whole = Settings.of
+    coil = Hardware(
+        has_coil=True, R_ohm=2.18, R_wh_K_W=3.1, R_ha_K_W=14.0, tau_w_s=12.0, tau_h_s=612.0, limit_C=100.0
+    )
+    for hardware, stated, told in ((coil, True, False), (coil, False, True), (Hardware(), False, False)):
+        if not stated:
+            monkeypatch.setattr(Settings, "of", lambda *given, **others: replace(whole(*given, **others), coil=None))
+        Desk(library, hardware=hardware).put(monkeypatch)
+        outcome = play("upload", "library.npz", *PORT)
+        assert outcome.code == 0, outcome.err
+        said = " ".join(outcome.out.split())
+        assert ("the device's own estimate cuts at 100 C (OVER_TEMPERATURE): state [motor]" in said) is told
 
 
 def test_another_library_meanwhile(play: Run, ready: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
