@@ -16,16 +16,15 @@ static uint64_t ticks;
 static uint32_t tick_began;
 static uint32_t loop_ticks;          /* of LOOP_S */
 static volatile uint32_t away_ticks; /* since the loop last came by */
-static bool powered; /* the amplifier is enabled */
 
 /* The command of this tick, from within td_device_step; the core has seen to its limits. */
 static void put(void *context, td_real command_A, bool enabled)
 {
     const float counts = OUTPUT_ZERO + (float)command_A * OUTPUT_PER_A;
+    const bool powered = enabled && ticks > SAFE_TICKS;
     uint32_t powered_counts;
 
     (void)context;
-    powered = enabled && ticks > SAFE_TICKS;
     powered_counts = (uint32_t)(counts < 0.0f ? 0.0f : (counts > (float)OUTPUT_MOST ? (float)OUTPUT_MOST : counts + 0.5f));
     board_put(powered ? powered_counts : SAFE_COUNTS, powered);
 }
@@ -49,8 +48,9 @@ void port_tick(void)
         away_ticks++;
         board_alive(ticks & 1);
     }
-    /* While a current may flow a lost tick is a fault: a command was held for too long. */
-    readings.late = powered && now - tick_began > period + period / 2;
+    /* A lost tick is a fault: where a current flows its command was held for too long, where none does a record has no
+     * row for it, and all that is read thereafter is taken to be earlier than it was. */
+    readings.late = ticks > 0 && now - tick_began > period + period / 2;
     readings.host_stop = false;
     tick_began = now;
     readings.tick = ticks++;

@@ -320,11 +320,14 @@ def test_the_stop_takes_the_power_away_in_its_tick(teensy: Teensy) -> None:
     assert not teensy.enabled()
 
 
-def test_a_late_tick_is_a_fault_while_armed(teensy: Teensy) -> None:
-    teensy.step(1, periods=3.0)
-    session = armed(teensy)
+@pytest.mark.parametrize("powered", [False, True], ids=["off", "armed"])
+def test_a_late_tick_is_a_fault(teensy: Teensy, powered: bool) -> None:
+    """Without a current it costs a record its times: a tap on a real object is recorded with the amplifier off."""
+    session = armed(teensy) if powered else connected(teensy)
     teensy.step(1, periods=1.4)
-    assert teensy.enabled()
+    assert teensy.enabled() is powered
+    teensy.exchange(session, 1000)
+    assert session.fault is None
     teensy.step(1, periods=1.6)
     assert not teensy.enabled()
     teensy.exchange(session, 2000)

@@ -53,7 +53,6 @@ static IntervalTimer timer;
 static uint64_t ticks;
 static uint32_t tick_began, late_cycles, loop_ticks;
 static volatile uint32_t away_ticks; /* since the loop last came by */
-static bool powered; /* the amplifier is enabled */
 
 /* The coil's temperature over a reset: three general-purpose registers of the battery-backed domain, which lie one after
  * the other (SNVS_LPGPR0 to 2, by the name that Teensyduino's imxrt.h gives them). A check word tells them from what a
@@ -86,8 +85,7 @@ static void put_nothing()
 /* The command of this tick, from within td_device_step; the core has seen to its limits. */
 static void put_command(void *, td_real command_A, bool enabled)
 {
-    powered = enabled && ticks > SAFE_TICKS;
-    if (!powered) {
+    if (!enabled || ticks <= SAFE_TICKS) {
         put_nothing();
         return;
     }
@@ -149,8 +147,9 @@ static void tick()
         watchdog.feed();
         digitalWriteFast(PIN_ALIVE, ticks & 1);
     }
-    /* While a current may flow a lost tick is a fault: a command was held for too long. */
-    readings.late = powered && now - tick_began > late_cycles;
+    /* A lost tick is a fault: where a current flows its command was held for too long, where none does a record has no
+     * row for it, and all that is read thereafter is taken to be earlier than it was. */
+    readings.late = ticks > 0 && now - tick_began > late_cycles;
     readings.host_stop = false;
     tick_began = now;
     readings.tick = ticks++;

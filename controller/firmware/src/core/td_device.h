@@ -93,7 +93,8 @@ static inline void td_device_start(td_device *device, const td_port *port)
 void td_device_receive(td_device *device, const uint8_t *bytes, size_t size);
 
 /* One servo period. `readings.tick` is one more each time, also after a period that was missed: records that wait to be sent
- * are numbered by the newest. A period missed while the amplifier is enabled is `readings.late`. */
+ * are numbered by the newest. A period missed is `readings.late`, also while the amplifier is off: the ticks are a record's
+ * times. */
 void td_device_step(td_device *device, const td_readings *readings, td_output *output);
 
 /* Write at most `room` bytes that wait to be sent; returns their number. */
