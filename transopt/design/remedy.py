@@ -152,9 +152,14 @@ class _Search:
     until: float = 0.0
     known: dict[tuple[tuple[str, float | None], ...], bool] = field(default_factory=dict)
 
-    def begin(self) -> None:
-        """Start a list of ways; it may use half of the remaining work, so that the next list has some left."""
+    def begin(self, ways: Sequence[_Way]) -> None:
+        """Start a list of ways; it may use half of the remaining work, so that the next list has some left.
+
+        Ways of a single trial have one trial even if no work is left: to leave a part out is the surest change.
+        """
         self.until = self.work.spent + self.work.left / 2
+        if all(len(way.strengths) == 1 for way in ways):
+            self.until = max(self.until, math.nextafter(self.work.spent, math.inf))
 
     @property
     def late(self) -> bool:
@@ -236,7 +241,8 @@ def remedies(entry: Adjustable, refused: Entry, options: SolverOptions, work: Wo
     Parameters
     ----------
     refused : the refused entry, with its problem, its replay and its status.
-    work : budget of the trials; `MOST_WORK` by default. The trial that exceeds it is the last.
+    work : budget of the trials; `MOST_WORK` by default. The trial that exceeds it is the last but for those that
+        leave a part out.
 
     Returns
     -------
@@ -246,7 +252,7 @@ def remedies(entry: Adjustable, refused: Entry, options: SolverOptions, work: Wo
     search = _Search(entry, refused, options, _excess(problem, played, status), work or Work())
     tried: list[Remedy] = []
     for ways in _ways(entry, problem, status, played):
-        search.begin()
+        search.begin(ways)
         found = search.tried([way for way in ways if search.strengths(way)])
         solved = [remedy for remedy in found if remedy.solved]
         if solved:
