@@ -294,6 +294,8 @@ def _ways(entry: Adjustable, problem: TransientProblem, status: Status, played: 
     blamed = list(hopeless or problem.limits)
     if status is Status.HAND_OVER:
         blamed = [limit for limit in blamed if limit.linear]
+    if status is Status.NOT_GLOBAL:  # J may lie above the convex bound only where a limit is not convex
+        blamed = [limit for limit in blamed if not limit.linear] or blamed
     if status is Status.UNSTABLE_WALL:
         blamed = []
     if status is Status.UNRESOLVED:

@@ -37,6 +37,7 @@ LEANT_ON = StressCase("wall", current=Current(limit_A=0.1), horizon=SHORT, surfa
 WARM = drawn(31337, 834)  # a coil that starts so near its limit that the ripple alone is too much
 LATE = drawn(27112026, 24)  # a wall that asks for 2500 times the current and the command, after the waveform
 BETWEEN = drawn(555, 50)  # a coil that passes its limit within a servo period, and not at any instant
+APART = drawn(28112772, 912)  # a coil near its limit, whose optimum lies 1.5 % above the convex bound
 OPTIONS = SolverOptions()
 ONE_ENTRY = {"grid.speeds_m_s": [0.4], "grid.grips_N": [5.0]}
 
@@ -112,6 +113,13 @@ class TestSearch:
         assert set(asked[0]) == {"limits.current_A"}
         assert all((values.get("limits.current_A") or 0.0) < BETWEEN.current.limit_A for values in asked)
         assert {key for answer in answers for key in answer.values} >= {"thermal.start_winding_C", "limits.current_A"}
+
+    def test_a_gap_to_the_convex_bound_is_closed_by_the_limit_that_is_not_convex(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        answers, asked = self.found(monkeypatch, APART, lambda v: v.get("thermal.start_winding_C", 99.0) < 50.0)
+        assert [set(answer.values) for answer in answers if answer.solved] == [{"thermal.start_winding_C"}]
+        assert all(key.startswith("thermal.") for values in asked for key in values)
 
     def test_a_flat_problem_gets_a_weight_of_the_movement_beside_what_makes_it_feasible(
         self, monkeypatch: pytest.MonkeyPatch
