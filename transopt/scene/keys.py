@@ -207,8 +207,9 @@ def parse_value(key: Key, text: str) -> Value:
 
 
 def _content(scene: Scene, changes: Changes) -> dict[str, Any]:
-    """The tables of the scene with the changes."""
-    content = scene.model_dump()
+    """The scene with the changes; the tables that they change are not checked yet, all others are as they were."""
+    changed = {path.split(".", 1)[0] for path in (*changes, *(IN_PLACE_OF.get(path, path) for path in changes))}
+    content = dict(scene) | scene.model_dump(include=changed)
     # Whole tables first: a changed key belongs to the new table.
     for path, value in sorted(changes.items(), key=lambda change: change[0] not in WHOLE_TABLES):
         *tables, name = path.split(".")

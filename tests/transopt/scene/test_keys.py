@@ -95,6 +95,13 @@ class TestChanges:
         assert changed.pop("amplifier") == {**before.pop("amplifier"), "pole_Hz": 500.0}
         assert changed == before
 
+    def test_other_tables_stay_the_same_objects_and_are_checked_together(self, scene: Scene) -> None:
+        changed = with_values(scene, {"limits.current_A": 3.0})
+        assert changed.model is scene.model
+        assert changed.limits is not scene.limits
+        with pytest.raises(InputError, match="i_peak_A"):
+            with_values(changed, {"limits.current_A": 1e3})
+
 
 class TestRefusals:
     @pytest.mark.parametrize(
