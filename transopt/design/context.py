@@ -22,6 +22,7 @@ from transopt.scene.scene import Scene
 
 KEPT_BETWEEN = 32
 Spot = tuple[float, float] | None  # normal and posture of an arm, by number from 1, or between two
+Devices = dict[tuple[float, Spot], tuple[StageModel, tuple[StageModel, ...]]]
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ class Context:
     def __init__(self, scene: Scene, references: References | Callable[[], References] | None = None) -> None:
         self.scene, self._given = scene, references
         self._between: Kept[Reference] = Kept(KEPT_BETWEEN)
-        self._devices: dict[tuple[float, Spot], tuple[StageModel, tuple[StageModel, ...]]] = {}
+        self._varied_from: tuple[tuple[object, ...], Devices] | None = None
 
     @classmethod
     def recorded(cls, scene: Scene, recordings: Sequence[Recording]) -> "Context":
@@ -92,6 +93,7 @@ class Context:
         # Known references are handed over themselves, so that no context keeps the one that it was varied from.
         found = Context(scene, vars(self).get("references", lambda: self.references))
         found._between = self._between
+        found._varied_from = (self._made_of, self._devices) if "_devices" in vars(self) else None
         return found
 
     @cached_property
@@ -142,6 +144,18 @@ class Context:
     def _coil(self) -> CoilModel | None:
         """The motor's coil, one object shared by all entries."""
         return self.scene.coil()
+
+    @cached_property
+    def _devices(self) -> Devices:
+        """Stage models by grip and place; those of the context that this one was varied from if they are the same."""
+        before = self._varied_from
+        return before[1] if before is not None and before[0] == self._made_of else {}
+
+    @property
+    def _made_of(self) -> tuple[object, ...]:
+        """All that stage models depend on besides grip and place."""
+        scene = self.scene
+        return scene.model, scene.motor, scene.transmission, scene.tip, scene.robust, *self.posing.discretised_by
 
     def stage(self, grip_N: float, place: Spot = None) -> StageModel:
         """The stage model of one grip and, for an arm, of one place."""

@@ -113,11 +113,15 @@ class Posing:
         ------
         InputError : a limit on an output that the plant does not have.
         """
-        dt_s, position, outputs = self.grid.dt_s, self.wall is not None, self.watched
+        by = amplifier, dt_s, position, outputs = self.discretised_by
         return STAGES.get(
-            (self.amplifier, dt_s, position, outputs, plant.numbers),
-            lambda: discretise(plant, self.amplifier, dt_s, position=position, outputs=outputs),
+            (*by, plant.numbers), lambda: discretise(plant, amplifier, dt_s, position=position, outputs=outputs)
         )
+
+    @property
+    def discretised_by(self) -> tuple[Amplifier | None, float, bool, tuple[str, ...]]:
+        """Amplifier, servo period, whether a wall needs the position, and the outputs that the limits need."""
+        return self.amplifier, self.grid.dt_s, self.wall is not None, self.watched
 
     @property
     def watched(self) -> tuple[str, ...]:
