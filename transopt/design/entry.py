@@ -103,6 +103,7 @@ class Entry(Answered):
         """Free the trajectories cached by search, certificate and replay; they are recomputed when read again."""
         self.batch.let_go()
         problem, effect = self.problem, self.designed.effect
+        problem.unlimited.clear()
         # A nonlinear plant's motion would have to be integrated again.
         linear = self.designed.nonlinear is None
         rolled = ("motion", "lasting", "others", "accelerations_m_s2") if linear else ()

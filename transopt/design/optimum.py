@@ -293,10 +293,19 @@ class _Attempt:
 
 def _without_limits(problems: Sequence[TransientProblem], options: SolverOptions) -> list[_Attempt]:
     """The optima without limits, certified where they keep all limits."""
-    reduced = leave_out_all(problems)
-    free = unlimited.solve([each.problem for each in reduced], brief=options.brief)
-    done = free_optima([(problem, answer.command) for problem, answer in zip(problems, free, strict=True)])
-    limits = [problem.limits.input_limit for problem in problems]
+    reduced, limits = leave_out_all(problems), [problem.limits.input_limit for problem in problems]
+    # Beside the problem, this optimum depends on the limit on the input alone, the unit of the command's movement.
+    keys = [(limit, options.brief) for limit in limits]
+    known = [problem.unlimited.get(key) for problem, key in zip(problems, keys, strict=True)]
+    new = [i for i, found in enumerate(known) if found is None]
+    answers = unlimited.solve([reduced[i].problem for i in new], brief=options.brief)
+    made = free_optima([(problems[i], answer.command) for i, answer in zip(new, answers, strict=True)])
+    for i, answer, (effect, figures) in zip(new, answers, made, strict=True):
+        known[i] = answer, effect, figures
+        problems[i].unlimited.clear()
+        problems[i].unlimited[keys[i]] = known[i]
+    free, effects, figures_of = zip(*known, strict=True) if known else ((), (), ())
+    done = [(effect.of(problem), of) for problem, effect, of in zip(problems, effects, figures_of, strict=True)]
     low = [i for i, limit in enumerate(limits) if done[i][1].peak <= limit + tolerated(limit)]
     proofs = dict(zip(low, certificates([(done[i][0], free[i].multipliers) for i in low]), strict=True))
     found = []

@@ -4,6 +4,7 @@ import operator
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -204,9 +205,25 @@ class TransientProblem:
     def _under(self, limits: Limits) -> "TransientProblem":
         """The problem under other limits; what does not depend on limits is neither checked nor computed again."""
         found = object.__new__(type(self))
-        vars(found).update({name: value for name, value in vars(self).items() if name in UNDER_ANY_LIMITS})
+        vars(found).update(self._under_any_limits)
         vars(found)["limits"] = limits
         return found
+
+    @property
+    def _under_any_limits(self) -> dict[str, object]:
+        """All fields, and what is known by now that does not depend on the limits."""
+        known = {name: value for name, value in vars(self).items() if name in UNDER_ANY_LIMITS}
+        return known | {"unlimited": self.unlimited}
+
+    def learn(self, other: "TransientProblem") -> None:
+        """Take over what another problem knows that does not depend on limits, if it differs in nothing else."""
+        if _but_limits(self) == _but_limits(other):
+            vars(self).update(other._under_any_limits | {name: getattr(self, name) for name in FIELDS})
+
+    @cached_property
+    def unlimited(self) -> dict[object, Any]:
+        """Cache of the optimum without limits, which the problems that differ only in limits share (`design`)."""
+        return {}
 
     def aiming_at(self, target: Target) -> "TransientProblem":
         """The problem with another target; what does not depend on it is neither checked nor computed again."""
@@ -416,6 +433,15 @@ def objectives(
 FIELDS = {field.name for field in fields(TransientProblem)}
 CACHED = {name for name, part in vars(TransientProblem).items() if isinstance(part, cached_property)}
 # The field and the cached properties that depend on the target; fields and cached properties for any limits.
-OF_THE_TARGET = {"target", "tracking", "reference_is_zero"}
+OF_THE_TARGET = {"target", "tracking", "reference_is_zero", "unlimited"}
 UNDER_ANY_LIMITS = FIELDS | {*("tracking", "shared", "feedback", "reference_is_zero", "yardstick", "rest")}
+SAME = ("stage", "target", "terms", "wall", "shares")  # fields of which no copy serves
+_SAME, _EQUAL = (operator.attrgetter(*names) for names in (SAME, sorted(FIELDS - {*SAME, "spread", "limits"})))
+
+
+def _but_limits(problem: TransientProblem) -> tuple[object, ...]:
+    """The key of problems that differ only in limits."""
+    return *map(id, (*_SAME(problem), *problem.spread)), *_EQUAL(problem)
+
+
 BESIDES_THE_TARGET = operator.attrgetter(*sorted(FIELDS - {"target"}))

@@ -93,6 +93,7 @@ class Service:
         self._referenced: Scene | None = None  # scene of the last look-up of references
         self._recordings: tuple[str, list[Recording]] = ("", [])
         self._context: Context | None = None
+        self._posed_last = dict[Place, Posed]()  # the last problem of each tap
         self.probe: tuple[float, float] | None = None
         self.winding_C: float | None = None
         self._known = {key.path for key in keys(scene) if key.path.split(".", 1)[0] in TABLES} - set(DEVICE)
@@ -110,7 +111,7 @@ class Service:
     @property
     def _fresh(self) -> dict[str, Any]:
         """What services of one scene do not share, as at their beginning."""
-        return {"_context": None, "trial": replace(self.trial, spans={})}
+        return {"_context": None, "_posed_last": {}, "trial": replace(self.trial, spans={})}
 
     def another(self) -> "Service":
         """A service of the scene as opened for another window; the references are shared."""
@@ -230,11 +231,11 @@ class Service:
         ------
         InputError : unsuitable recordings.
         """
-        if scene is not self._referenced:
+        if self._referenced is None or _recorded_on(scene) != _recorded_on(self._referenced):
             axis = self._axis(scene)
             if axis != self._references[0]:
                 self._references = (axis, references_of(scene, self._taps(scene)))
-            self._referenced = scene
+        self._referenced = scene
         return self._references[1]
 
     def _taps(self, scene: Scene) -> Sequence[Recording]:
@@ -264,7 +265,7 @@ class Service:
         return self._posed_together([place])[0]
 
     def _posed_together(self, places: Sequence[Place]) -> list[Posed]:
-        """The problems of taps, of which those of one grip share what they can."""
+        """The problems of taps, which share what they can with others of their grip and with their own last ones."""
         context, of_grip, found = self.context, dict[float, list[int]](), dict[int, Posed]()
         for number, place in enumerate(places):
             of_grip.setdefault(place.grip_N, []).append(number)
@@ -272,6 +273,12 @@ class Service:
             taps = [places[number] for number in numbers]
             references = [context.reference(tap.speed_m_s, tap.grip_N, tap.target) for tap in taps]
             found |= zip(numbers, context.posed_together(references, grip_N), strict=True)
+        last, here = self._posed_last, self.places
+        self._posed_last = {place: last[place] for place in here if place in last}
+        for number, place in enumerate(places):
+            if place in last:
+                found[number].problem.learn(last[place].problem)
+            self._posed_last[place] = found[number]
         return [found[number] for number in range(len(places))]
 
     def order(self, selected: int) -> list[int]:
@@ -386,6 +393,11 @@ class Service:
                 f"{first.place}: {'; '.join(first.shortfalls) or first.status.value}"
             )
         return made.library
+
+
+def _recorded_on(scene: Scene) -> tuple[object, ...]:
+    """What the references of the scene depend on, of all that can be changed on the page."""
+    return scene.time_grid(), scene.recordings, scene.targets, scene.hand
 
 
 def _portable(scene: Scene, beside: bool) -> Scene:

@@ -1,5 +1,6 @@
 """What the page shows is what a library would hold."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,10 +13,13 @@ from tests.benches.actuators import nonlinear_scene
 from transopt.base.errors import InputError
 from transopt.design.build import build_library
 from transopt.library.columns import EntryTable
-from transopt.problem.answer import Status
+from transopt.plant.state_space import StateSpace
+from transopt.problem.answer import Solution, Status
+from transopt.problem.problem import TransientProblem
 from transopt.report.tried import AskedError
 from transopt.scene.recordings import recordings_of
 from transopt.scene.scene import Scene
+from transopt.solvers import unlimited
 from transopt.web.controls import controls
 from transopt.web.opening import described, opened, own_taps
 from transopt.web.question import limit_for_error, movers
@@ -261,3 +265,51 @@ def test_what_a_change_leaves_as_it_is_stays_the_same_objects_and_answers_alike(
         assert found.curves is not None
         assert expected.curves is not None
         np.testing.assert_allclose(found.curves.input, expected.curves.input, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("key", "values", "solved"),
+    [
+        ("thermal.start_winding_C", (50.0, 60.0), 0),
+        ("limits.velocity_m_s", (0.9, 1.1), 0),
+        ("limits.current_A", (3.0, 3.5), 2),  # the unit of the movement's weight
+        ("weights.rho", (0.02, 0.03), 2),
+    ],
+)
+def test_a_drag_computes_anew_only_what_its_key_changes(
+    small: Scene, key: str, values: tuple[float, float], solved: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    service, fresh = Service(small), Service(small)
+    service.change({key: values[0]})
+    service.quick([0, 1])
+    passes, plants = list[TransientProblem](), list[float]()
+    solve, plant = unlimited.solve, Scene.plant
+
+    def counted(problems: Sequence[TransientProblem], *, brief: bool = False) -> list[Solution]:
+        passes.extend(problems)
+        return solve(problems, brief=brief)
+
+    def built(scene: Scene, grip_N: float, *of: tuple[float, float] | None) -> StateSpace:
+        plants.append(grip_N)
+        return plant(scene, grip_N, *of)
+
+    monkeypatch.setattr(unlimited, "solve", counted)
+    monkeypatch.setattr(Scene, "plant", built)
+    service.change({key: values[1]})
+    found = service.quick([0, 1])
+    assert (len(passes), plants) == (solved, [])
+    fresh.change({key: values[1]})
+    for each, expected in zip(found, fresh.quick([0, 1]), strict=True):
+        assert each.floor == pytest.approx(expected.floor, rel=1e-9)
+        assert each.curves is not None
+        assert expected.curves is not None
+        np.testing.assert_allclose(each.curves.optimum_m_s2, expected.curves.optimum_m_s2, rtol=0, atol=1e-7)
+        np.testing.assert_allclose(each.curves.clipped_input, expected.curves.clipped_input, rtol=0, atol=1e-9)
+
+
+def test_another_device_is_built_anew(service: Service) -> None:
+    context = service.context
+    before = context.stage(3.0)
+    heavier = context.varied(to.with_values(service.scene, {"transmission.link_mass_kg": 0.03}))
+    assert heavier.stage(3.0).plant.numbers != before.plant.numbers
+    assert context.varied(to.with_values(service.scene, {"weights.rho": 0.02})).stage(3.0) is before

@@ -11,6 +11,9 @@ from transopt.base.signals import FloatArray
 from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.objective.target import ZERO_M_S2, Target
 
+# What `filter_together` computes.
+FILTERED = dict.fromkeys(("wanted", "unit_wanted", "energy_m2_s4", "lost_m2_s4")).keys()
+
 
 @dataclass(frozen=True)
 class Tracking:
@@ -239,6 +242,8 @@ def filter_together(costs: Sequence[Tracking]) -> None:
     """Filter the targets of costs with the same terms in one pass; all that depends on them is then cached."""
     groups: dict[tuple[object, ...], list[Tracking]] = {}
     for each in costs:
+        if vars(each).keys() >= FILTERED:
+            continue
         groups.setdefault((id(each.terms), each.target.lost, each.target.whole_m_s2.shape), []).append(each)
     for group in groups.values():
         weights, lost = group[0].weights, group[0].target.lost
@@ -259,5 +264,4 @@ def filter_together(costs: Sequence[Tracking]) -> None:
             unit_wanted = np.swapaxes(unit_wanted, 1, 2).reshape(len(group), -1, unit_wanted.shape[-1])
         parts = zip(group, wanted, unit_wanted, map(float, squares), map(float, of_lost), strict=True)
         for each, filtered, unit, energy, before in parts:
-            found = {"wanted": filtered, "unit_wanted": unit, "energy_m2_s4": energy, "lost_m2_s4": before}
-            vars(each).update(found, weights=weights)
+            vars(each).update(zip(FILTERED, (filtered, unit, energy, before), strict=True), weights=weights)
