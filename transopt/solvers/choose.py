@@ -24,7 +24,7 @@ __all__ = [
     "SolverOptions",
     "check_name",
     "default_solver",
-    "global_bound",
+    "global_bounds",
     "one_by_one",
     "prove",
     "prove_all",
@@ -167,23 +167,31 @@ def prove_all(
     answers: Sequence[tuple[Effect, Multipliers]], options: SolverOptions, certify_all: Certify = certificates
 ) -> list[Certificate]:
     """Certificates of several answers, as `prove` gives them; each answer is an effect with its multipliers."""
-    found = []
-    for (effect, _), certificate in zip(answers, certify_all(answers), strict=True):
-        bounded = np.isfinite(certificate.lower_bound) or not certificate.finite or not effect.problem.nonlinear
-        bounded = bounded or (options.brief and not certificate.is_stationary)  # a trial that has failed anyway
-        bound = certificate.lower_bound if bounded else global_bound(effect.problem, options)
-        found.append(replace(certificate, lower_bound=bound))
+    found = certify_all(answers)
+    unbounded = [
+        i
+        for i, ((effect, _), certificate) in enumerate(zip(answers, found, strict=True))
+        if effect.problem.nonlinear
+        and certificate.finite
+        and not np.isfinite(certificate.lower_bound)
+        and (certificate.is_stationary or not options.brief)  # else a trial that has failed anyway
+    ]
+    bounds = global_bounds([answers[i][0].problem for i in unbounded], options)
+    for i, bound in zip(unbounded, bounds, strict=True):
+        found[i] = replace(found[i], lower_bound=bound)
     return found
 
 
-def global_bound(problem: TransientProblem, options: SolverOptions) -> float:
-    """Rigorous lower bound on J where the copper's warming or a user-defined limit makes the problem nonconvex.
+def global_bounds(problems: Sequence[TransientProblem], options: SolverOptions) -> list[float]:
+    """Rigorous lower bounds on J where the copper's warming or a user-defined limit makes problems nonconvex.
 
-    The bound is the optimum of `TransientProblem.relaxed` less its certified gap; minus infinity if that fails.
+    A bound is the optimum of `TransientProblem.relaxed` less its certified gap; minus infinity if that fails.
     """
-    relaxed = problem.relaxed()
-    first = _tried([relaxed], options)[0]
-    return max((answer.proof.lower_bound for answer in _answers(relaxed, options, first)), default=-np.inf)
+    relaxed = [problem.relaxed() for problem in problems]
+    return [
+        max(answer.proof.lower_bound for answer in _answers(problem, options, first))
+        for problem, first in zip(relaxed, _tried(relaxed, options), strict=True)
+    ]
 
 
 class Certified(NamedTuple):

@@ -16,12 +16,12 @@ from transopt.base import apart
 from transopt.base.errors import InputError
 from transopt.design.optimum import optimum
 from transopt.plant.intention import INTENTION_S
-from transopt.problem.answer import Certificate, Status
+from transopt.problem.answer import Certificate, Solution, Status
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import relaxed_bound
 from transopt.proof.effect import Effect
 from transopt.solvers import choose, feasibility, riccati
-from transopt.solvers.choose import global_bound
+from transopt.solvers.choose import global_bounds
 from transopt.solvers.native import extension
 from transopt.solvers.options import SolverOptions
 from transopt.solvers.stage_data import stages
@@ -148,7 +148,7 @@ def answers(seeds: range) -> list[tuple[TransientProblem, np.ndarray, Certificat
             effect = Effect(problem, answer.command)
             bounds = [
                 designed.certificate.lower_bound,
-                global_bound(problem, SolverOptions()),
+                global_bounds([problem], SolverOptions())[0],
                 relaxed_bound(effect, answer.multipliers),
             ]
             found.append((problem, answer.command, designed.certificate, bounds))
@@ -183,7 +183,21 @@ def test_the_bound_of_a_cooler_limit_is_too_high_for_the_stated_one() -> None:
     thermal = problem.thermal
     assert thermal is not None
     less = replace(thermal.model, headroom_K=0.98 * thermal.model.headroom_K)
-    assert global_bound(problem.replaced(replace(thermal, model=less)), SolverOptions()) > proof.objective
+    assert global_bounds([problem.replaced(replace(thermal, model=less))], SolverOptions())[0] > proof.objective
+
+
+def test_bounds_are_searched_side_by_side(monkeypatch: pytest.MonkeyPatch) -> None:
+    problems, solve, sizes = [problem for problem, *_ in answers(range(6))], choose.solve_all, list[int]()
+
+    def counted(some: list[TransientProblem], options: SolverOptions) -> list[Solution]:
+        sizes.append(len(some))
+        return solve(some, options)
+
+    alone = [global_bounds([problem], SolverOptions())[0] for problem in problems]
+    monkeypatch.setattr(choose, "solve_all", counted)
+    assert global_bounds(problems, SolverOptions()) == pytest.approx(alone, rel=1e-7)
+    assert len(problems) > 1
+    assert sizes[0] == len(problems)
 
 
 @pytest.mark.skipif(not extension.available, reason="the extension is not built")

@@ -31,7 +31,7 @@ from transopt.recordings.recording import Recording
 from transopt.references.reference import Reference
 from transopt.scene.scene import Scene
 from transopt.solvers import riccati
-from transopt.solvers.choose import global_bound, solve
+from transopt.solvers.choose import global_bounds, solve
 from transopt.solvers.options import SolverOptions
 
 AMPLIFIER = Amplifier(pole_Hz=1050.0, delay_s=68e-6, command_limit=6.0)
@@ -100,7 +100,7 @@ class TestOptimum:
         """Measured 0.001 to 0.012 %."""
         problem, answer = tight[headroom_K]
         objective = certify(problem, answer.command, answer.multipliers).objective
-        bound = global_bound(problem, SolverOptions())
+        bound = global_bounds([problem], SolverOptions())[0]
         assert 0 < (objective - bound) / max(objective, 1e-3) <= 3e-4
 
     @pytest.mark.parametrize("headroom", [0.01, 0.02, 0.05, 0.1])
@@ -142,7 +142,7 @@ class TestOptimum:
     ) -> None:
         """Commands from anywhere, shrunk until they keep all limits: zero does, and heat shrinks with them."""
         problem, answer = tight[0.02]
-        bound = global_bound(problem, SolverOptions())
+        bound = global_bounds([problem], SolverOptions())[0]
         cold = solve(problem.without("temperature")).command
         random = np.random.default_rng(10)
         noise = random.standard_normal((4, problem.grid.stages))
@@ -262,7 +262,7 @@ class TestRepetition:
     def test_its_bound_holds(self, repeated: tuple[TransientProblem, Solution]) -> None:
         """The mean-heat relaxation: feasible commands found otherwise stay above it; measured gap 0.38 %."""
         problem, answer = repeated
-        bound = global_bound(problem, SolverOptions())
+        bound = global_bounds([problem], SolverOptions())[0]
         best = certify(problem, answer.command, answer.multipliers).objective
         assert 0 < (best - bound) / best < 6e-3
         cold = solve(problem.without("temperature")).command
