@@ -7,7 +7,7 @@ const STEPS = 400;
 export class Field {
   // `spec`: id, label, unit, tip, low, high, and log, integer, optional, or `at` and `share` of a scale of its own;
   // `opened`, where it goes back to; undefined for no way back.
-  // `moved(value, how)`: how = { resting, began, step } with step "typed", "dragged" or "key" when it may be undone.
+  // `moved(value, how)`: how = { resting, step } with step "typed", "dragged" or "key" when it may be undone.
   constructor(spec, moved) {
     Object.assign(this, { spec, moved });
     const { id, label: name, unit } = spec;
@@ -28,7 +28,7 @@ export class Field {
       this.element.classList.add("optional");
     }
     this.range.onpointerdown = () => { this.held = true; };
-    this.range.oninput = (event) => this.move(this.sliderValue, { began: event.timeStamp });
+    this.range.oninput = () => this.move(this.sliderValue);
     this.range.onchange = () => {
       this.move(this.sliderValue, { resting: true, step: this.held ? "dragged" : "key" });
       this.held = false;
@@ -59,7 +59,7 @@ export class Field {
     this.move(value, { resting: true, step: "typed" });
   }
 
-  move(value, how) {
+  move(value, how = {}) {
     this.complain("");
     this.set(value);
     this.moved(value, how);

@@ -75,7 +75,7 @@ function ask(what, of, how = {}) {
   if (!how.answers) wanted.forget();
   solving();
   warm.state(state.requested.winding_C);
-  requests.want(how.began);
+  requests.want();
   if (how.resting) requests.rest(0);
 }
 
@@ -214,7 +214,6 @@ function drawn(message, arrays) {
   taken(message, arrays);
   const frame = { number: message.id, times: arrays.times_s, whole: message.whole_s, taps: [] };
   for (const tap of message.taps) frame.taps[tap.index] = tap;
-  const first = !state.frame;
   state.frame = frame;
   state.accepted = sentRequests.get(message.id) ?? state.requested;
   for (const number of sentRequests.keys()) if (number <= message.id) sentRequests.delete(number);
@@ -226,12 +225,7 @@ function drawn(message, arrays) {
   const asked = { ...state.accepted.changes, ...state.requested.changes, [state.last]: null };
   for (const [key, value] of Object.entries(message.following)) if (!(key in asked)) sliders.get(key)?.follow(value);
   show(state.moving);
-  const began = requests.done(message.id);
-  requestAnimationFrame(() => {
-    // From the event to the frame that shows its result.
-    if (began !== undefined) performance.measure("slider to frame", { start: began, end: performance.now() });
-    if (first) performance.mark("first picture");
-  });
+  requests.done(message.id);
 }
 
 function covers({ times }, [from, to]) {

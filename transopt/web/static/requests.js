@@ -12,34 +12,32 @@ export class Requests {
 
   forget() {
     clearTimeout(this.timer);
-    Object.assign(this, { resting: false, began: new Map() });
+    Object.assign(this, { resting: false, sent: new Set() });
   }
 
-  want(began = performance.now()) {
+  want() {
     this.resting = false;
     this.rest(RESTS_MS);
-    this.request(began, false);
+    this.request(false);
   }
 
-  request(began, final) {
+  request(final) {
     if (!this.send(this.number + 1, final)) return false;
     this.number += 1;
-    this.began.set(this.number, began);
+    this.sent.add(this.number);
     return true;
   }
 
   rest(after_ms) {
     clearTimeout(this.timer);
     this.timer = setTimeout(() => {
-      if (this.began.size) this.rest(BUSY_MS);
-      else if (!this.resting) this.resting = this.request(performance.now(), true);
+      if (this.sent.size) this.rest(BUSY_MS);
+      else if (!this.resting) this.resting = this.request(true);
     }, after_ms);
   }
 
-  // An answer stands for all requests up to its own. Returns when the first of them began.
+  // An answer stands for all requests up to its own.
   done(number) {
-    const answered = [...this.began].filter(([each]) => each <= number);
-    for (const [each] of answered) this.began.delete(each);
-    return answered.length ? Math.min(...answered.map(([, began]) => began)) : undefined;
+    for (const each of this.sent) if (each <= number) this.sent.delete(each);
   }
 }
