@@ -122,6 +122,27 @@ def test_while_dragging_what_is_looked_at_comes_and_at_rest_all(window: Window) 
     window.says("#selected", "as opened 29.6 %")
 
 
+HIDDEN = """() => {
+  const cells = document.querySelector("#cells"), hidden = [];
+  for (const element of document.querySelectorAll("aside input, aside select, aside button, aside summary")) {
+    if (!element.checkVisibility() || element.disabled) continue;
+    scrollTo(0, document.documentElement.scrollHeight);
+    element.focus();
+    const { top, bottom } = element.getBoundingClientRect(), taps = cells.getBoundingClientRect();
+    if (taps.top < 0 || taps.bottom > innerHeight / 2 || top < taps.bottom || bottom > innerHeight) hidden.push(element.id);
+  }
+  return hidden;
+}"""
+
+
+def test_in_a_narrow_window_all_taps_stay_in_sight_of_every_control(window: Window) -> None:
+    for width, height in ((400, 800), (640, 700)):
+        window.tab.set_viewport_size({"width": width, "height": height})
+        assert window.tab.evaluate(HIDDEN) == []
+    window.tab.set_viewport_size({"width": 800, "height": 380})  # too low for both
+    assert len(window.tab.evaluate(HIDDEN)) > 10
+
+
 def focused(window: Window) -> str:
     """What has the focus, by the name that it goes by; BODY for nothing."""
     return str(
