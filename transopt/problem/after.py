@@ -89,13 +89,13 @@ class Feedback:
         side: Literal[0, 1] = 1 if transposed else 0
         right = np.asarray(right, dtype=float)
         solution = scipy.linalg.solve_triangular(
-            self._one_minus_T, right, trans=side, lower=True, unit_diagonal=True, check_finite=False
+            self._minus_T, right, trans=side, lower=True, unit_diagonal=True, check_finite=False
         )
         return np.asarray(solution)
 
     @cached_property
-    def _one_minus_T(self) -> FloatArray:
-        """(M, M) 1 - T."""
+    def _minus_T(self) -> FloatArray:
+        """(M, M) -T: all of 1 - T but its diagonal of ones."""
         assert self.wall is not None
         M, N, dt, amplifier = self.grid.after_stages, self.grid.stages, self.grid.dt_s, self.stage.amplifier
         pulse = np.zeros(M)
@@ -103,6 +103,6 @@ class Feedback:
         response = self.wall.wall.linear(self.course(self.stage.motion(pulse)), dt)
         current = scipy.linalg.toeplitz(response, np.zeros(M)) * self.wall.pressing[N : N + M, None]
         now, before = (1.0, 0.0) if amplifier is None else prefilter_coefficients(amplifier, dt)
-        T = now * current
-        T[1:] += before * current[:-1]
-        return np.asarray(np.eye(M) - T)
+        minus_T = -now * current
+        minus_T[1:] -= before * current[:-1]
+        return minus_T
