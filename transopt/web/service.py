@@ -35,7 +35,7 @@ from transopt.references.references import References
 from transopt.scene.builtin import FOLDER
 from transopt.scene.file import scene_text
 from transopt.scene.keys import IN_PLACE_OF, Value, keys, with_values
-from transopt.scene.recordings import recordings_of, references_of
+from transopt.scene.recordings import recordings_of, references_of, sampled_again
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions, TrialOptions
 from transopt.web.controls import DEVICE, TABLES, Control, controls
@@ -44,7 +44,8 @@ from transopt.web.shown import Place, Shown, shown
 from transopt.web.warm import Warm, on_warm_coil
 
 MOST_REMEDY_WORK = 100.0  # work limit for the search of remedies for one refused tap: one or two seconds
-RECORDED = {
+# The tables on which simulated recordings depend.
+SIMULATED_ON = {
     "recordings",
     "hand",
     "targets",
@@ -92,6 +93,7 @@ class Service:
         self._references: tuple[str, References] = ("", References())
         self._referenced: Scene | None = None  # scene of the last look-up of references
         self._recordings: tuple[str, list[Recording]] = ("", [])
+        self._sampled: Sequence[Recording] | None = None  # recordings of the references; None for a library's
         self._context: Context | None = None
         self._posed_last = dict[Place, Posed]()  # the last problem of each tap
         self.probe: tuple[float, float] | None = None
@@ -234,14 +236,20 @@ class Service:
         if self._referenced is None or _recorded_on(scene) != _recorded_on(self._referenced):
             axis = self._axis(scene)
             if axis != self._references[0]:
-                self._references = (axis, references_of(scene, self._taps(scene)))
+                taps, known = self._taps(scene), self._references[1]
+                self._references = (
+                    axis,
+                    sampled_again(scene, known) if taps is self._sampled else references_of(scene, taps),
+                )
+                self._sampled = taps
         self._referenced = scene
         return self._references[1]
 
     def _taps(self, scene: Scene) -> Sequence[Recording]:
         if self._given is not None or scene.targets:
             return self._given or ()
-        of = json.dumps(scene.model_dump(include=RECORDED, mode="json"))
+        on = {"recordings"} if scene.recordings.simulated is None else SIMULATED_ON
+        of = json.dumps(scene.model_dump(include=on, mode="json"))
         if of != self._recordings[0]:
             self._recordings = (of, recordings_of(scene))
         return self._recordings[1]

@@ -129,7 +129,8 @@ HIDDEN = """() => {
     scrollTo(0, document.documentElement.scrollHeight);
     element.focus();
     const { top, bottom } = element.getBoundingClientRect(), taps = cells.getBoundingClientRect();
-    if (taps.top < 0 || taps.bottom > innerHeight / 2 || top < taps.bottom || bottom > innerHeight) hidden.push(element.id);
+    const seen = taps.top >= 0 && taps.bottom <= innerHeight / 2 && top >= taps.bottom && bottom <= innerHeight;
+    if (!seen) hidden.push(element.id);
   }
   return hidden;
 }"""

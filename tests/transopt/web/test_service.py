@@ -17,7 +17,7 @@ from transopt.plant.state_space import StateSpace
 from transopt.problem.answer import Solution, Status
 from transopt.problem.problem import TransientProblem
 from transopt.report.tried import AskedError
-from transopt.scene.recordings import recordings_of
+from transopt.scene.recordings import recordings_of, references_of
 from transopt.scene.scene import Scene
 from transopt.solvers import unlimited
 from transopt.web.controls import controls
@@ -313,3 +313,14 @@ def test_another_device_is_built_anew(service: Service) -> None:
     heavier = context.varied(to.with_values(service.scene, {"transmission.link_mass_kg": 0.03}))
     assert heavier.stage(3.0).plant.numbers != before.plant.numbers
     assert context.varied(to.with_values(service.scene, {"weights.rho": 0.02})).stage(3.0) is before
+
+
+def test_files_are_not_read_again_for_another_tail(monkeypatch: pytest.MonkeyPatch) -> None:
+    service, changes = opened("own_taps"), {"weights.after_s": 0.03}
+    changed = to.with_values(service.opened, changes)
+    expected = references_of(changed, recordings_of(changed))
+    monkeypatch.setattr("transopt.web.service.recordings_of", lambda scene: pytest.fail("read again"))
+    service.change(changes)
+    for cell, other in zip(service.references(service.scene), expected, strict=True):
+        assert cell.recorded_after_m_s2.size == changed.time_grid().after_stages
+        np.testing.assert_allclose(cell.stacked, other.stacked, rtol=1e-12, atol=1e-12)
