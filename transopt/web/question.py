@@ -7,9 +7,8 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.writing import percent
-from transopt.design.design import design
 from transopt.problem.answer import Status
-from transopt.scene.keys import Value, find_key, with_values
+from transopt.scene.keys import Value, find_key
 from transopt.study.inverse import Question, Requirement, answer
 from transopt.study.rows import Row
 from transopt.web.controls import Control
@@ -130,12 +129,8 @@ def limit_for_error(service: Service, index: int, control: Control, tap_error: f
 
 def _tap_error(service: Service, index: int, changes: dict[str, Value]) -> tuple[float, str]:
     """Tap error with other values, NaN if it is not certified, and the reason."""
-    place, reference = service.places[index], service.reference(service.places[index])
     try:
-        context = service.context.varied(with_values(service.scene, changes)) if changes else service.context
-        (found,) = design([context.posed_as(reference, place.grip_N)], options=service.trial)
+        (found,) = service.changed(changes).quick([index])
     except InputError as error:
         return np.nan, str(error)
-    if found.solution.status is not Status.OPTIMAL or not found.certificate.accepted:
-        return np.nan, found.solution.status.value
-    return found.problem.yardstick.tap_error(found.uncorrected, found.lasting_m_s2), ""
+    return np.nan if found.figures is None else found.figures.tap_error, found.reason

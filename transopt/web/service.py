@@ -122,6 +122,18 @@ class Service:
         found.scene, found.changes, found.probe, found.winding_C = self.opened, {}, None, None
         return found
 
+    def changed(self, changes: Mapping[str, Value]) -> "Service":
+        """A service of the scene with further changes, which leaves this one as it is and shares what it knows.
+
+        Raises
+        ------
+        InputError : values that the scene refuses.
+        """
+        found = object.__new__(Service)
+        vars(found).update(vars(self))
+        found.change({**self.changes, **changes}, self.probe)
+        return found
+
     @property
     def axis(self) -> str:
         """The references' cache key."""

@@ -141,10 +141,16 @@ def test_nothing_need_be_done_for_an_error_that_is_met(service: Service) -> None
 
 def test_what_moves_an_error_does_so_by_the_library_of_the_changed_scene(service: Service) -> None:
     found = {mover.key: mover for mover in movers(service, 1) or []}
-    control = {each.key: each for each in service.controls}["limits.current_A"]
-    service.change({"limits.current_A": control.high})
-    assert found["limits.current_A"].best == pytest.approx(_tap_error(service.quick([1])[0]), rel=1e-8)
+    controlled = {each.key: each for each in service.controls}
     assert movers(service, 1, lambda: True) is None
+    assert service.changes == {}
+    now = _tap_error(service.quick([1])[0])
+    for key in ("limits.current_A", "weights.after_s"):  # a limit, and a key of the time axis
+        ends = []
+        for value in (controlled[key].low, controlled[key].high):
+            service.change({key: value})
+            ends.append(_tap_error(service.quick([1])[0]))
+        assert (found[key].best, found[key].worst) == pytest.approx((min(now, *ends), max(now, *ends)), rel=1e-8)
 
 
 def test_every_point_of_a_price_is_the_error_under_that_limit(service: Service) -> None:
