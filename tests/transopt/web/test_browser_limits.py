@@ -140,6 +140,13 @@ def test_in_a_narrow_window_all_taps_stay_in_sight_of_every_control(window: Wind
     for width, height in ((400, 800), (640, 700)):
         window.tab.set_viewport_size({"width": width, "height": height})
         assert window.tab.evaluate(HIDDEN) == []
+    # Where not all taps have room, the selected one is in sight.
+    window.tab.evaluate("() => { document.querySelector('#cells').style.width = '160px'; }")
+    for selected in (0, 1):
+        window.see("#table tbody tr").nth(selected).click()
+        ends = "cell => [...'left right'.split(' ')].map(side => cell.getBoundingClientRect()[side])"
+        cell, cells = (window.see(name).evaluate(ends) for name in ("#cells [aria-selected=true]", "#cells"))
+        assert cells[0] - 1 <= cell[0] < cell[1] <= cells[1] + 1  # places are whole pixels
     window.tab.set_viewport_size({"width": 800, "height": 380})  # too low for both
     assert len(window.tab.evaluate(HIDDEN)) > 10
 

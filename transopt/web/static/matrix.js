@@ -69,6 +69,13 @@ export class Matrix {
       cell.setAttribute("aria-selected", String(j === index));
       cell.tabIndex = j === index ? 0 : -1;
     });
+    const { element } = this, cell = this.cells[index];
+    if (!cell) return;
+    // In sight where not all of them have room; the page itself does not move.
+    for (const [scroll, offset, size, room] of [["scrollTop", "offsetTop", "offsetHeight", "clientHeight"],
+      ["scrollLeft", "offsetLeft", "offsetWidth", "clientWidth"]]) {
+      element[scroll] = Math.min(Math.max(element[scroll], cell[offset] + cell[size] - element[room]), cell[offset]);
+    }
   }
 
   // Where the small plots lie. It is read once, since reading after a change costs another layout.
