@@ -5,7 +5,7 @@ the project gets its slider without a change here. Whether the scene accepts a k
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from transopt.base.errors import InputError
@@ -97,6 +97,18 @@ def controls(scene: Scene) -> list[Control]:
     """All controls of the page, table by table."""
     found = [control for key in keys(scene) if (control := _control(scene, key)) is not None]
     return sorted(found, key=lambda control: TABLES.index(control.table))
+
+
+def at_present(found: Sequence[Control], scene: Scene) -> list[Control]:
+    """Controls with the values of a changed scene; a slider makes room for a value beyond its ends."""
+    now = {key.path: _now(scene, key) for key in keys(scene)}
+    return [_holding(control, now[control.key]) for control in found]
+
+
+def _holding(control: Control, value: Value) -> Control:
+    if control.choices or not isinstance(value, int | float) or (control.log and value <= 0):
+        return replace(control, value=value)
+    return replace(control, value=value, low=min(control.low, value), high=max(control.high, value))
 
 
 def _control(scene: Scene, key: Key) -> Control | None:

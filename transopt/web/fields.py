@@ -6,7 +6,6 @@ from typing import Any
 
 from transopt.base.units import unit_of, words_of
 from transopt.files.unclear import Answer
-from transopt.web.controls import controls
 from transopt.web.service import Service
 
 # Wording for the command line and Python -> wording for the page.
@@ -38,7 +37,7 @@ def in_words(words: str, service: Service | None) -> Refusal:
     key = ""
     if service is not None:
         words = words.removeprefix(f"{service.opened.name}: ")
-        for control in sorted(controls(service.opened), key=lambda each: -len(each.key)):
+        for control in sorted(service.controls, key=lambda each: -len(each.key)):
             if control.key in words:
                 key = key or control.key
                 stated = f"{control.label} = \\1 {control.unit}".rstrip()

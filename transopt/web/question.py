@@ -51,7 +51,7 @@ class Mover:
 
 
 def movers(service: Service, index: int, given_up: Callable[[], bool] = lambda: False) -> list[Mover] | None:
-    """The numbers that change the error of one tap, each solved at both ends of its slider.
+    """The numbers that change the error of a tap or make a refused one possible, solved at the ends of their sliders.
 
     Limits come before weights; those with the lowest error come first.
 
@@ -70,7 +70,7 @@ def movers(service: Service, index: int, given_up: Callable[[], bool] = lambda: 
                 return None
             errors.append(_tap_error(service, index, {control.key: value})[0])
         known = [error for error in errors if np.isfinite(error)]
-        if known and max(known) - min(known) > LEAST_MOVE:
+        if known and (not np.isfinite(now) or max(known) - min(known) > LEAST_MOVE):
             found.append(Mover(control.key, control.label, min(known), max(known)))
     return sorted(found, key=lambda mover: (mover.key.startswith("weights."), mover.best))
 

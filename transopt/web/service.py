@@ -8,6 +8,7 @@ figures of a library.
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,7 @@ from transopt.scene.keys import IN_PLACE_OF, Value, keys, with_values
 from transopt.scene.recordings import recordings_of, references_of, sampled_again
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions, TrialOptions
-from transopt.web.controls import DEVICE, TABLES, Control, controls
+from transopt.web.controls import DEVICE, TABLES, Control, at_present, controls
 from transopt.web.price import priced
 from transopt.web.shown import Place, Shown, shown
 from transopt.web.warm import Warm, on_warm_coil
@@ -156,8 +157,12 @@ class Service:
 
     @property
     def controls(self) -> list[Control]:
-        """Controls of the scene as it is now."""
-        return controls(self.scene)
+        """Controls of the scene as opened, at the values that it has now."""
+        return at_present(self._opened_controls, self.scene)
+
+    @cached_property
+    def _opened_controls(self) -> list[Control]:
+        return controls(self.opened)
 
     @property
     def grid(self) -> TimeGrid:

@@ -153,6 +153,16 @@ def test_what_moves_an_error_does_so_by_the_library_of_the_changed_scene(service
         assert (found[key].best, found[key].worst) == pytest.approx((min(now, *ends), max(now, *ends)), rel=1e-8)
 
 
+def test_what_makes_a_refused_tap_possible_moves_it(service: Service) -> None:
+    (control,) = [each for each in service.controls if each.key == "limits.velocity_m_s"]
+    service.change({control.key: 1e-3})
+    (now,) = [each for each in service.controls if each.key == control.key]
+    assert (now.low, now.value, now.high) == (1e-3, 1e-3, control.high)  # the slider of the page, with room for it
+    (mover,) = movers(service, 1) or []
+    service.change({control.key: now.high})
+    assert (mover.key, mover.best) == (control.key, pytest.approx(_tap_error(service.quick([1])[0]), rel=1e-8))
+
+
 def test_every_point_of_a_price_is_the_error_under_that_limit(service: Service) -> None:
     (price, *_) = [each for each in service.settled(1).prices if each.label == "current"]
     assert len(price.points) > 4

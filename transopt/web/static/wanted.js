@@ -39,8 +39,8 @@ export class Wanted {
   listed({ tap, movers }) {
     if (tap !== this.tap?.index) return;
     const choice = by("error-key"), before = choice.value;
-    choice.replaceChildren(...movers.map((mover) => new Option(
-      `${mover.label}: ${percent(mover.best)} to ${percent(mover.worst)} %`, mover.key)));
+    choice.replaceChildren(...movers.map(({ label, best, worst, key }) => new Option(
+      `${label}: ${[...new Set([best, worst].map(percent))].join(" to ")} %`, key)));
     if (!movers.length) choice.append(new Option("nothing on this page moves it", ""));
     if (movers.some((mover) => mover.key === before)) choice.value = before;
     this.field.range.disabled = this.field.number.disabled = !movers.length;
