@@ -140,7 +140,7 @@ def test_in_a_narrow_window_all_taps_stay_in_sight_of_every_control(window: Wind
     for width, height in ((400, 800), (640, 700)):
         window.tab.set_viewport_size({"width": width, "height": height})
         assert window.tab.evaluate(HIDDEN) == []
-    # Where not all taps have room, the selected one is in sight.
+    # The selected tap is in sight where not all have room.
     window.tab.evaluate("() => { document.querySelector('#cells').style.width = '160px'; }")
     for selected in (0, 1):
         window.see("#table tbody tr").nth(selected).click()

@@ -71,7 +71,7 @@ export class Matrix {
     });
     const { element } = this, cell = this.cells[index];
     if (!cell) return;
-    // In sight where not all of them have room; the page itself does not move.
+    // The selected cell comes into sight where not all have room; the page itself does not move.
     for (const [scroll, offset, size, room] of [["scrollTop", "offsetTop", "offsetHeight", "clientHeight"],
       ["scrollLeft", "offsetLeft", "offsetWidth", "clientWidth"]]) {
       element[scroll] = Math.min(Math.max(element[scroll], cell[offset] + cell[size] - element[room]), cell[offset]);
