@@ -10,6 +10,7 @@ wire and page, and the processor time of server and browser is told. It also mea
 address to the first picture. It needs the extra `page`, playwright and chromium. No test asserts these times.
 """
 
+import os
 import shutil
 import time
 from collections.abc import Iterator
@@ -193,7 +194,7 @@ def script(
 ) -> None:
     whole = load_scene(SCENE)
     one = with_values(whole, {"grid.speeds_m_s": [0.4], "grid.grips_N": [5.0]})
-    rows = []
+    rows, load = [], os.getloadavg()[0]
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which(chromium), args=["--no-sandbox"])
         for scene, taps in ((one, 1), (whole, 12)):
@@ -218,7 +219,8 @@ def script(
         "processor of the server, ms a frame",
         "of the browser, ms a frame",
     ]
-    lines = [*table(head, rows), "", f"Headless Chromium {version}, drawing without a graphics card."]
+    others = f"the machine's load by others was {load:.1f}"
+    lines = [*table(head, rows), "", f"Headless Chromium {version}, drawing without a graphics card; {others}."]
     print("\n".join(lines))
     write_part(page, lines)
 
