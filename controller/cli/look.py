@@ -187,7 +187,9 @@ def zero(
         raise InputError("zero: no device file to store the surface in: `transopt-play device new device.toml` first")
     encoder = found.device.encoder
     with sessions.connected(port, reset) as opened:
-        touches = Touches(opened.hello.dt_s, encoder.count_m)
+        # A device without a configuration tells raw counts.
+        configured = any(opened.hello.configuration_sha256)
+        touches = Touches(opened.hello.dt_s, encoder.count_m, 1 if configured else encoder.direction)
         opened.listeners.append(touches.take)
         opened.set_telemetry(max(round(TOUCH_LOOK_S / opened.hello.dt_s), 1))
         sessions.ConsolePerson().asked(
@@ -199,9 +201,7 @@ def zero(
                 f"zero: no {IN_A_ROW} touches at one place within {patience:g} s (rests of {REST_S:g} s at counts: "
                 f"{seen}): touch a stop that does not give way, or state encoder.surface_counts by hand"
             )
-        # A device without a configuration tells raw counts.
-        configured = any(opened.hello.configuration_sha256)
-        surface = touches.surface * (1 if configured else encoder.direction)
+        surface = touches.surface
         if configured and opened.state is not State.FAULT:
             opened.surface(surface)
     restate(found.path, "encoder.surface_counts", surface)

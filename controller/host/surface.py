@@ -116,13 +116,19 @@ class Drift:
 class Touches:
     """A listener of `driver.Device` that collects the rests of a stylus that touches the surface repeatedly.
 
+    The surface is the deepest place where the stylus rests: whoever pauses in the air between two touches rests too.
+
+    Parameters
+    ----------
+    direction : the encoder's, where the device tells raw counts; 1 where it knows its encoder.
+
     Attributes
     ----------
-    counts : counts of each touch; between two touches the stylus left the surface.
+    counts : counts of each rest, along the encoder's direction; between two rests the stylus left the place.
     """
 
-    def __init__(self, dt_s: float, count_m: float) -> None:
-        self._rest, self._away = Rest(dt_s, count_m), AWAY_M / count_m
+    def __init__(self, dt_s: float, count_m: float, direction: int = 1) -> None:
+        self._rest, self._away, self._direction = Rest(dt_s, count_m), AWAY_M / count_m, direction
         self.counts: list[float] = []
         self._left = True
 
@@ -130,22 +136,28 @@ class Touches:
         if not isinstance(news, Samples):
             return
         self._rest.take(news)
-        newest = news.records[-1].encoder_counts
+        newest = self._direction * news.records[-1].encoder_counts
         if self.counts and not self._left:
             self._left = abs(newest - self.counts[-1]) >= self._away
         found = self._rest.counts if self._left else None
         if found is not None:
-            self.counts.append(found)
+            self.counts.append(self._direction * found)
             self._left = False
             self._rest.forget()
 
     @property
+    def _deepest(self) -> list[float]:
+        """The newest `IN_A_ROW` of the last rests that none of them lies below; twice as many rests are looked at."""
+        newest = self.counts[-2 * IN_A_ROW :]
+        return [counts for counts in newest if counts < min(newest) + self._away][-IN_A_ROW:]
+
+    @property
     def agree(self) -> bool:
         """Whether the newest `IN_A_ROW` touches agree within twice the band."""
-        newest = self.counts[-IN_A_ROW:]
-        return len(newest) == IN_A_ROW and max(newest) - min(newest) <= 2 * self._rest.band
+        touches = self._deepest
+        return len(touches) == IN_A_ROW and max(touches) - min(touches) <= 2 * self._rest.band
 
     @property
     def surface(self) -> float:
         """Median counts of the newest `IN_A_ROW` touches."""
-        return float(median(self.counts[-IN_A_ROW:]))
+        return float(median(self._deepest))

@@ -108,6 +108,33 @@ def test_three_touches_at_one_place_are_the_surface() -> None:
     assert touches.surface == pytest.approx(1234)
 
 
+@pytest.mark.parametrize("direction", [1, -1])
+def test_rests_in_the_air_between_the_touches_are_no_touches(direction: int) -> None:
+    """Whoever pauses above the surface rests there, at one place or at several."""
+    touches = Touches(DT_S, COUNT_M, direction)
+    found = []
+    for counts in (900, 0, 700, 1, 900, -1):
+        move = np.linspace(counts + 300, counts, REST // 2)
+        for samples in at(direction * np.concatenate([move, np.full(REST, counts)])):
+            touches.take(samples)
+        found.append(touches.agree)
+    assert found == [False] * 5 + [True]
+    assert touches.surface == pytest.approx(0)
+
+
+def test_a_place_below_the_surface_is_forgotten() -> None:
+    touches = Touches(DT_S, COUNT_M)
+    for counts in (-400, *[0, 300] * 2, 0):
+        for samples in at(np.concatenate([np.full(REST // 2, counts + 100), np.full(REST, counts)])):
+            touches.take(samples)
+        assert not touches.agree
+    for counts in (300, 0):
+        for samples in at(np.concatenate([np.full(REST // 2, counts + 100), np.full(REST, counts)])):
+            touches.take(samples)
+    assert touches.agree
+    assert touches.surface == pytest.approx(0)
+
+
 def test_a_stylus_that_lies_still_has_touched_once() -> None:
     touches = Touches(DT_S, COUNT_M)
     for samples in at([1234] * 5 * REST):
