@@ -260,7 +260,7 @@ def run(
                 if gain is None or share >= WHOLE:
                     device.set_telemetry(1)
                     if gain is not None:
-                        device.arm(gain)
+                        device.arm(gain, tell=bench.console.print)
                     listen(device, seconds, ended, armed=gain is not None)
                 else:
                     tap_by_tap(device, recorder, gain, share, seconds, ended, bench.console.print)
@@ -290,7 +290,7 @@ def _try_out(device: "Device", console: "Console", seconds: float | None) -> Non
             ended.append(True)
 
     with device.heard_by(take):
-        device.arm(TRIAL_GAIN, trial=True)
+        device.arm(TRIAL_GAIN, trial=True, tell=console.print)
         listen(device, seconds, lambda: bool(ended), armed=True)
         if device.state is not State.FAULT:
             device.disarm()

@@ -33,6 +33,8 @@ UPLOAD_S = 60.0
 STOP_S = 0.5
 LATE_S = 2.0  # longest wait for telemetry in transit
 REST_S = 0.2  # longest wait for the device to detect rest: a window of the approach's fit, with a margin
+PATIENCE_S = 60.0  # longest wait for a person who holds the stylus to hold it still
+HOLD_STILL = "hold the stylus above the surface, still: the device arms at rest"
 
 
 class DeviceError(InputError):
@@ -153,13 +155,24 @@ class Device:
             self.session.upload(image)
             return not self._done(Kind.COMMIT, UPLOAD_S).skipped
 
-    def arm(self, gain: float, lease_ms: int = LEASE_DEFAULT_MS, *, trial: bool = False) -> None:
+    def arm(
+        self,
+        gain: float,
+        lease_ms: int = LEASE_DEFAULT_MS,
+        *,
+        trial: bool = False,
+        tell: Callable[[str], None] | None = None,
+    ) -> None:
         """Arm the device. From here on call `listen` or `pump` at least once per lease.
 
         A device that has just been configured or reset must read its sensors for a while before it can detect rest.
+
+        Parameters
+        ----------
+        tell : told to hold the stylus still where it moves, which is then waited for; None does not wait.
         """
         self.need_no_fault()
-        self._at_rest(lambda: self.session.arm(gain, lease_ms, trial=trial), Kind.ARM)
+        self._at_rest(lambda: self.session.arm(gain, lease_ms, trial=trial), Kind.ARM, tell)
 
     def start(self, *, negative: bool = False) -> None:
         """Start an excitation on the armed device; returns when it has begun."""
@@ -235,17 +248,24 @@ class Device:
 
     # Waiting.
 
-    def _at_rest(self, ask: Callable[[], None], kind: Kind) -> None:
-        """Make a request that requires rest; repeat it for up to `REST_S` while the device reports that it moves."""
-        end_s = self.now_s() + REST_S
+    def _at_rest(self, ask: Callable[[], None], kind: Kind, tell: Callable[[str], None] | None = None) -> None:
+        """Make a request that requires rest; repeat it for up to `REST_S` while the device reports that it moves.
+
+        tell : told then to hold still; the request is repeated for up to `PATIENCE_S`.
+        """
+        begun_s, told = self.now_s(), False
         while True:
             ask()
             try:
                 self._done(kind)
                 return
             except RefusedError as refused:
-                if refused.reason is not Reason.NOT_AT_REST or self.now_s() >= end_s:
+                took_s = self.now_s() - begun_s
+                if refused.reason is not Reason.NOT_AT_REST or took_s >= (REST_S if tell is None else PATIENCE_S):
                     raise
+            if tell is not None and not told and took_s >= REST_S:
+                tell(HOLD_STILL)
+                told = True
             self.listen(REST_S / 10)
 
     def listen(self, duration_s: float, until: Callable[[News], bool] = lambda news: False) -> bool:

@@ -7,7 +7,7 @@ and a drift of the surface.
 
 from collections.abc import Callable
 
-from controller.host.driver import LATE_S, Device, DeviceError, RefusedError
+from controller.host.driver import HOLD_STILL, LATE_S, PATIENCE_S, Device, DeviceError, RefusedError
 from controller.host.rates import LOOK_S, kept_records, remedy
 from controller.protocol.codes import Reason
 from controller.protocol.events import Happened, News, Samples, capacity_of
@@ -17,7 +17,6 @@ from controller.servo.interface import Notice, State
 SPARE = 2.0  # reserve of the line's rate, which also carries events and heartbeats
 LISTEN_S = 0.05  # between two looks at whether to end
 LOOKED_S = 0.3  # duration of the few records between two taps; a rest that shows a drift takes 0.2 s
-PATIENCE_S = 60.0  # longest wait for the stylus to rest
 OVER = State.FAULT, State.IDLE
 
 
@@ -118,7 +117,7 @@ class _SlowTaps:
                 if refused.reason is not Reason.NOT_AT_REST or self._device.now_s() >= end_s:
                     raise
             if not told:
-                self._tell("hold the stylus above the surface, still: the device arms at rest")
+                self._tell(HOLD_STILL)
             told = True
             self._look()
             if self._device.state is State.FAULT:

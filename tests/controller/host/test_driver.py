@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from controller.host.driver import Device, DeviceError, LinkLostError
+from controller.host.driver import HOLD_STILL, Device, DeviceError, LinkLostError
 from controller.protocol.capacity import REST_BETWEEN_PULSES_S
 from controller.protocol.codes import Kind, LinkNotice
 from controller.protocol.events import Happened, Samples
@@ -72,6 +72,24 @@ def test_one_session_from_end_to_end(trouble: Trouble) -> None:
     assert seen[-1] == (len(IMAGE), len(IMAGE))
     assert sum(len(x.records) for x in samples) > 500
     assert stream.closed == 1
+
+
+def test_arming_waits_for_a_stylus_that_moves() -> None:
+    """As after the tap that a library new to the device is tried with."""
+    world, _, connect = driven()
+    still_s, told = 2.0, list[str]()
+    with connect() as device:
+        device.configure(CONFIGURATION)
+        device.upload(IMAGE)
+        world.readings = lambda k: Readings(k, 200 + min(k, round(still_s / DT_S)), 3.0, 0.0, 0.0)  # outwards
+        device.listen(0.1)
+        with pytest.raises(DeviceError, match="the stylus is moving"):
+            device.arm(1.0)
+        assert device.now_s() < still_s
+        device.arm(1.0, tell=told.append)
+        assert device.state is State.ARMED
+        assert still_s < device.now_s() < still_s + 0.2
+    assert told == [HOLD_STILL]
 
 
 def test_leaving_disarms_and_an_exception_stops() -> None:
