@@ -40,7 +40,7 @@ class Monitor:
         self._count_m, self._surface_counts = count_m, surface_counts
         self.events: Counter[object] = Counter()
         self.faults: list[Fault] = []
-        self._tick, self._missed = 0, 0
+        self._tick, self._missed, self._lost = 0, 0, 0
         self._record: Record | None = None
         self._state, self._fault = State.IDLE, None  # type: State, Fault | None
         self._recent: deque[str] = deque(maxlen=EVENTS_SHOWN)
@@ -58,6 +58,9 @@ class Monitor:
             self.events[news.what] += 1
             if isinstance(news.what, Fault):
                 self.faults.append(news.what)
+            if news.lost > self._lost:
+                self._lost = news.lost
+                self._say(f"{news.lost} events before this one found no room in the device's queue: they are lost")
             self._say(event_line(news, self._dt_s))
         elif isinstance(news, Logged):
             self._say(f"device: {news.text}")

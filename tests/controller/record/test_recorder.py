@@ -367,6 +367,15 @@ def test_without_a_terminal_events_are_lines() -> None:
     assert event_line(contact(), DT_S).endswith("(0.200 m/s, 3.10 N)")
 
 
+def test_events_that_a_device_had_no_room_for_are_told_once() -> None:
+    text = io.StringIO()
+    with Monitor(Console(file=text, width=200), "desk", DT_S, COUNT_M) as shown:
+        for number, lost in enumerate((0, 16, 16, 17)):
+            shown.take(replace(contact(), number=number, lost=lost))
+    told = [line.split()[0] for line in text.getvalue().splitlines() if "found no room in the device's queue" in line]
+    assert told == ["16", "17"]
+
+
 # What a test pulse was measured to do.
 
 
