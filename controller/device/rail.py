@@ -51,10 +51,16 @@ def why_at_rail(
     found = np.flatnonzero(at_rail(acceleration_m_s2, accelerometer))
     if not found.size:
         return ""
-    first = found[0]
-    needed = "a wider range" if library is None else f"a range of {needed_range_g(library, accelerometer)} g or more"
+    first, range_g = found[0], accelerometer.range_g
+    least_g = math.inf if library is None else needed_range_g(library, accelerometer)
+    needed = "a wider range" if library is None else f"a range of {least_g} g or more"
     why = f"the accelerometer was at its rail at {1e3 * times_s[first]:.1f} ms"
-    if accelerometer.range_g is None and np.isfinite(acceleration_m_s2[first]):
+    if range_g is not None and least_g <= range_g:
+        return (
+            f"{why}, though its range of {range_g:g} g holds every tap of this library: check its cable, and that "
+            "the stylus meets nothing where the surface is played"
+        )
+    if range_g is None and np.isfinite(acceleration_m_s2[first]):
         stood = (acceleration_m_s2[first] + accelerometer.rest_m_s2) / STANDARD_GRAVITY_M_S2
         why = f"the accelerometer stood still at {stood:+.3g} g from {1e3 * times_s[first]:.1f} ms on"
         return f"{why}, as at the end of its range: use {needed}, or state accelerometer.range_g"

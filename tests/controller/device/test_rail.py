@@ -69,6 +69,16 @@ def test_the_reason_names_time_and_remedy(library: Library) -> None:
     assert unstated.endswith("use a wider range, or state accelerometer.range_g")
 
 
+@pytest.mark.parametrize("reading", [math.nan, 20 * G])
+def test_a_range_that_holds_every_tap_is_not_what_is_wrong(library: Library, reading: float) -> None:
+    """A wire that comes loose while a tap plays, or a stylus that strikes something."""
+    read = np.where(TIMES_S < 20e-3, tap(), reading)
+    why = why_at_rail(TIMES_S, read, Accelerometer(range_g=12.0), library)
+    assert why.startswith("the accelerometer was at its rail at 20.0 ms, though its range of 12 g holds every tap")
+    assert "check its cable" in why
+    assert "use one with" not in why
+
+
 def test_a_circuit_must_read_the_built_in_taps_on_a_level_surface(library: Library) -> None:
     assert needed_range_g(library, Accelerometer(rest_m_s2=9.81)) == LEAST_RANGE_G
 
