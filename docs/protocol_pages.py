@@ -109,10 +109,12 @@ by DONE, by REFUSED with a reason, or as the table says. The same sequence again
 carried out twice. LEASE, DATA and EVENT_ACK stand beside that: their sequence is not looked at. Instead the host_us
 of a LEASE has to grow, so that an old one that something on the way repeats keeps no device armed.
 
-To play: HELLO, CONFIGURE in parts, CONFIGURE_COMMIT, UPLOAD_BEGIN, DATA (at most `upload_frames` ahead of the last
-ACK), COMMIT, then ARM, and LEASE at least every `lease_ms`. A device that is not simulated arms only with evidence
-of its own: PULSE with pairs, ARM with trial 1 and a tap. The trial is of the library in force: after
-another COMMIT it is asked for again. A fault of {", ".join(one.name for one in EVIDENCE_FAULTS[:-1])} or
+To play: HELLO, CONFIGURE in parts, CONFIGURE_COMMIT, SURFACE where the configuration does not state it, UPLOAD_BEGIN,
+DATA (at most `upload_frames` ahead of the last ACK), COMMIT, then ARM, and LEASE at least every `lease_ms`. What
+HELLO_REPLY tells to be in force is left out: CONFIGURE_COMMIT would take evidence and surface. A device that is not
+simulated arms only with evidence of its own: PULSE with pairs, ARM with trial 1 and a tap. The trial is of the
+library in force: after another COMMIT it is asked for again. A fault of
+{", ".join(one.name for one in EVIDENCE_FAULTS[:-1])} or
 {EVIDENCE_FAULTS[-1].name} takes the evidence: the cable that is its remedy may be plugged in reversed.
 
 A part of CONFIGURE or DATA has at most {messages.DATA_LIMIT} bytes. Each hash is the SHA-256 of all bytes of the
@@ -132,7 +134,9 @@ Written from this page alone, with pyserial for the line:
 ```
 
 It is run as `python second_host.py PORT CONFIGURATION IMAGE`, with configuration and image as files of bytes
-(`controller.host.payload.payload(path)` makes both of a library).
+(`payload(path, read_device(file).device)` makes both of a library and a device file, from `controller.host.payload`
+and `controller.device.reading`). A device that is not simulated is led by `transopt-play check`, with the same two
+files, to its evidence and its surface before.
 
 ## Timing
 

@@ -75,7 +75,7 @@ def test_one_session_from_end_to_end(trouble: Trouble) -> None:
 
 
 def test_arming_waits_for_a_stylus_that_moves() -> None:
-    """As after the tap that a library new to the device is tried with."""
+    """The tap by which a library new to the device is tried has just ended, say."""
     world, _, connect = driven()
     still_s, told = 2.0, list[str]()
     with connect() as device:

@@ -5,6 +5,7 @@ import struct
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ import pytest
 from controller.host.payload import payload
 from controller.protocol import messages as m
 from controller.protocol.codes import Kind
+from controller.protocol.image import sha256
 from controller.protocol.wire import Decoder, encode
 from tests.controller.firmware.test_host import served
 from transopt.library.library import Library
@@ -73,27 +75,67 @@ def test_a_file_of_another_version_ends_in_one_line(given: tuple[Path, Path], wh
     assert "export it again" in done.stderr
 
 
+class Fake:
+    """Answers the requests of one host, and keeps their kinds."""
+
+    def __init__(self, answers: Callable[[Kind], tuple[Kind, bytes]]) -> None:
+        self.asked, self._answers = list[Kind](), answers
+
+    def meets(self, given: tuple[Path, Path]) -> "subprocess.CompletedProcess[str]":
+        with socket.create_server(("localhost", 0)) as server:
+            thread = threading.Thread(target=self._talk, args=(server,))
+            thread.start()
+            done = host(f"socket://localhost:{server.getsockname()[1]}", *given)
+            thread.join(10.0)
+        return done
+
+    def _talk(self, server: socket.socket) -> None:
+        line, _ = server.accept()
+        decoder = Decoder()
+        with line:
+            while data := line.recv(4096):
+                for asked in decoder.feed(data):
+                    kind, _, sequence, session = m.HEADER.unpack_from(asked)
+                    self.asked.append(Kind(kind))
+                    answer, body = self._answers(self.asked[-1])
+                    line.sendall(encode(m.HEADER.pack(answer, 0, sequence, session) + body))
+
+
 def test_a_device_of_another_version_ends_in_one_line(given: tuple[Path, Path]) -> None:
     reply = struct.pack("<IH", m.MAGIC, m.PROTOCOL + 1) + bytes(200)
-    with socket.create_server(("localhost", 0)) as server:
-
-        def answer() -> None:
-            line, _ = server.accept()
-            decoder = Decoder()
-            with line:
-                for payload_ in decoder.feed(line.recv(4096)):
-                    _, _, sequence, session = m.HEADER.unpack_from(payload_)
-                    line.sendall(encode(m.HEADER.pack(Kind.HELLO_REPLY, 0, sequence, session) + reply))
-                line.recv(1)
-
-        thread = threading.Thread(target=answer)
-        thread.start()
-        done = host(f"socket://localhost:{server.getsockname()[1]}", *given)
-        thread.join(10.0)
+    done = Fake(lambda _: (Kind.HELLO_REPLY, reply)).meets(given)
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.count("\n") == 1
     assert f"the device speaks protocol {m.PROTOCOL + 1}" in done.stderr
     assert "bring host and firmware to one version" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("there", "sent"),
+    [
+        ((), [Kind.CONFIGURE, Kind.CONFIGURE_COMMIT, Kind.UPLOAD_BEGIN]),
+        ((0,), [Kind.UPLOAD_BEGIN]),
+        ((0, 1), [Kind.ARM]),
+    ],
+)
+def test_what_is_in_force_is_not_sent_again(
+    given: tuple[Path, Path], there: tuple[int, ...], sent: list[Kind]
+) -> None:
+    """A CONFIGURE_COMMIT takes the evidence of a check, without which no device that is not simulated arms."""
+    hashes = b"".join(sha256(path.read_bytes()) if k in there else bytes(32) for k, path in enumerate(given))
+    hello = struct.pack("<IH", m.MAGIC, m.PROTOCOL).ljust(m.HelloReply.FORMAT.size - len(hashes), b"\0") + hashes
+
+    def answers(kind: Kind) -> tuple[Kind, bytes]:
+        if kind is Kind.HELLO:
+            return Kind.HELLO_REPLY, hello
+        if kind in (Kind.UPLOAD_BEGIN, Kind.ARM):
+            return Kind.REFUSED, bytes([kind, 8])
+        return Kind.DONE, bytes(3)
+
+    device = Fake(answers)
+    done = device.meets(given)
+    assert device.asked == [Kind.HELLO, *sent]
+    assert "was refused for reason 8" in done.stderr
 
 
 def test_it_ends_in_one_line_where_nobody_is(given: tuple[Path, Path]) -> None:
