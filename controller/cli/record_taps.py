@@ -55,13 +55,16 @@ def taps_by_a_person(
 
         title, enough = f"recording on {bench.name}", lambda: taps is not None and counted() >= taps
         _, stopped = run(bench, device, recorder, title, enough=enough, seconds=seconds)
+        fault = device.fault
     bench.console.print(recorder.in_words().removeprefix("; ") or "nothing came")
     for number, why in recorder.at_rail.items():
         bench.console.print(f"tap {number} does not count and has no file: {why}", style="yellow")
+    if fault is not None:
+        bench.console.print(f"fault: {fault.value}", style="red")
     if stopped:
         typer.echo(STOPPED, err=True)
         raise typer.Exit(130)
-    if not counted():
+    if fault is not None or not counted():
         raise typer.Exit(1)
 
 

@@ -159,6 +159,28 @@ def test_recording_a_real_object(play: Run, library: Library, monkeypatch: pytes
     assert_refused(play("tap", "library.npz", *PORT, "--out", "real"), "--out real: holds a recording already")
 
 
+def test_a_fault_ends_a_recording_of_a_real_object(
+    play: Run, library: Library, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What came before it is kept; one that is latched already is told in place of a recording of nothing."""
+    desk = Desk(library, target=library.scene().recordings.simulated, gravity_m_s2=9.81).put(monkeypatch)
+    desk.asked("hold")
+    begun = iter([True])
+
+    def look() -> None:
+        if desk.now_s() > 0.2 and next(begun, False):
+            desk.hand.tap(desk.now_s(), 0.2)
+        desk.hand.pressed = desk.now_s() > 1.2
+
+    desk.each_ms = look
+    first = play("record", "tap", *PORT, "--out", "real", "--taps", 2, "--for", 3)
+    again = play("record", "tap", *PORT, "--out", "again", "--for", 1)
+    assert f"real: {FILES}, all whole" in first.out
+    for outcome in (first, again):
+        assert outcome.code == 1, outcome.out + outcome.err
+        assert "\nfault: emergency stop: release it, then reset" in outcome.out
+
+
 def test_nothing_recorded_is_exit_code_1(play: Run, desk: Desk) -> None:
     assert play("record", "tap", *PORT, "--out", "nothing", "--for", 0.1).code == 1
 
