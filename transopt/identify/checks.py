@@ -25,6 +25,7 @@ from transopt.identify.measurement import Measurement
 from transopt.identify.spectrum import TransferEstimate, Trial
 
 LEAST_WORTH = 0.05  # cycles per octave; below it no practical length of sweep would be enough, so none is proposed
+REST_PART = 0.1  # least part of a signal's span between its rest, where values repeat, and an end of the range
 REST_SAMPLES, END_NOISES = 20, 5.0  # number of first samples; largest end of a signal over their scatter
 GRAVITY_TOLERANCE = 0.25  # relative error of a nominal model's gain; no other cause changes a gain tenfold
 AGAINST = 0.5  # polarity is wrong if the reversed record has less than this share of the misfit of a passive device
@@ -69,14 +70,14 @@ def _signal(name: str, quantity: str, x: Signal, *, limited: bool) -> list[Findi
         what = "the cable and the channel" if quantity != "command" else "what the device was told"
         return [Check.STILL.at(name, quantity=quantity, value=values[0], unit=unit, what=what)]
     limited = limited or (quantity in INPUTS and _switched(values))
+    centred = values - np.median(values[:END_SAMPLES])
     found = []
     for side, at in ((1.0, "highest"), (-1.0, "lowest")):
-        flat = flat_extreme(side * values)
-        if flat.size and not limited:
+        flat = flat_extreme(side * centred)
+        if flat.size and abs(centred[flat[0]]) > REST_PART * np.ptp(values) and not limited:
             check, first_s = Check.SATURATED if quantity == "command" else Check.CLIPPED, x.start_s + flat[0] * x.dt_s
             extreme = {"count": flat.size, "side": at, "value": values[flat[0]], "unit": unit, "first_s": first_s}
             found.append(check.at(name, quantity=quantity, **extreme))
-    centred = values - np.median(values[:END_SAMPLES])
     last, peak = float(np.abs(centred[-END_SAMPLES:]).max()), float(np.abs(centred).max())
     # The end of a record that has settled holds noise as large as at its beginning.
     least = max(END_PART * peak, END_NOISES * float(values[:REST_SAMPLES].std()))

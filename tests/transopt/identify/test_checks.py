@@ -124,6 +124,19 @@ def test_a_coarse_converter_is_not_a_clipped_one(bits: int) -> None:
     assert flat_extreme(step * np.round(np.minimum(sine, 0.8) / step)).size > 1000
 
 
+@pytest.mark.parametrize("offset_A", [0.4, -0.4])
+def test_a_quiet_monitor_of_12_bits_is_not_clipped_where_it_rests(offset_A: float) -> None:
+    """A current of one sign has its extreme at rest, where the converter tells two values or three."""
+    swept_A = offset_A * (1 - np.cos(2 * np.pi * 5.0 * DT_S * np.arange(10_000)))
+    current_A = np.concatenate([np.zeros(500), swept_A, np.zeros(1000)])
+    step_A = 22.0 / 2**12
+    noisy_A = current_A + 0.4 * step_A * np.random.default_rng(1).standard_normal(current_A.size)
+    one = {"command_A": current_A, "current_A": step_A * np.round(noisy_A / step_A)}
+    assert checks.check_measurement(run(one), ("current",)) == []
+    one["current_A"] = np.clip(one["current_A"], -0.6, 0.6)
+    assert [f.fault for f in checks.check_measurement(run(one), ("current",))] == [Fault.CLIPPED]
+
+
 def test_a_saturated_command() -> None:
     trial = amplifier_trial(1, amplitude_A=1.0)
     cut = {"command_A": np.clip(trial.input.values, -0.9, 0.9), "current_A": trial.output.values}
