@@ -12,7 +12,7 @@ from transopt.design.entry import Entry
 from transopt.problem.answer import Status
 from transopt.problem.limits import KINDS
 from transopt.problem.limits.supply import SupplyLimit
-from transopt.proof.effect import boxes_of
+from transopt.proof.effect import TEMPERATURE, boxes_of
 from transopt.study.axes import label
 
 REFUSED = "REFUSED"  # status beside those of `Status`: the scene itself is invalid
@@ -29,9 +29,11 @@ def _multiplier(kind_label: str) -> Callable[[Entry], float]:
     def largest(entry: Entry) -> float:
         if not np.all(np.isfinite(entry.solution.command)):
             return NAN
-        boxes = boxes_of(entry.designed.effect, entry.solution.multipliers)
-        own = [box for box in boxes if box.limit.label == kind_label]
-        return max((float(np.maximum(box.by_upper, box.by_lower).max()) for box in own), default=NAN)
+        problem, multipliers = entry.problem, entry.solution.multipliers
+        own = [row.name for limit, row in problem.rows() if limit.label == kind_label]
+        if problem.thermal is not None and problem.thermal.label == kind_label:
+            own.append(TEMPERATURE)
+        return max(map(multipliers.most, own), default=NAN)
 
     return largest
 

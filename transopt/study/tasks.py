@@ -15,9 +15,7 @@ from transopt.base.threads import one_blas_thread
 from transopt.design.context import Context, Posed
 from transopt.design.design import design
 from transopt.recordings.recording import Recording
-from transopt.references.references import References
 from transopt.scene.keys import Changes, with_values
-from transopt.scene.recordings import references_of
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
 from transopt.study.rows import DEFECT, REFUSED, Outcome, outcome_of
@@ -61,19 +59,19 @@ class Task:
     rivals: bool = False
 
 
-_references: Kept[References] = Kept(KEPT_REFERENCES)
+_recorded: Kept[Context] = Kept(KEPT_REFERENCES)
 # All problems of one shape share CasADi's solver objects. If another thread calls one before its status is read, the
 # status is that of the wrong problem.
 _one_at_a_time = threading.Lock()
 
 
 def _context(task: Task, changes: Changes) -> Context:
-    """The context of one scene of a task; parts that depend only on device or recordings are cached."""
+    """The context of one scene of a task; parts that depend only on its recordings are cached."""
     scene = with_values(task.scene, changes)
     recorded = scene.model_copy(update={"grid": task.scene.grid})
     of = json.dumps(recorded.model_dump(include=set(RECORDED), mode="json"), sort_keys=True)
     key = f"{task.source} {scene.time_grid()} {of}"
-    return Context(scene, lambda: _references.get(key, lambda: references_of(recorded, task.recordings)))
+    return _recorded.get(key, lambda: Context.recorded(recorded, task.recordings)).varied(scene)
 
 
 def _ended(task: Task, item: Item, error: Exception) -> Outcome:
