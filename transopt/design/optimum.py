@@ -299,7 +299,7 @@ def _without_limits(problems: Sequence[TransientProblem], options: SolverOptions
     known = [problem.unlimited.get(key) for problem, key in zip(problems, keys, strict=True)]
     new = [i for i, found in enumerate(known) if found is None]
     answers = unlimited.solve([reduced[i].problem for i in new], brief=options.brief)
-    made = free_optima([(problems[i], answer.command) for i, answer in zip(new, answers, strict=True)])
+    made = free_optima([(problems[i].without_optimum(), each.command) for i, each in zip(new, answers, strict=True)])
     for i, answer, (effect, figures) in zip(new, answers, made, strict=True):
         known[i] = answer, effect, figures
         problems[i].unlimited.clear()

@@ -225,6 +225,12 @@ class TransientProblem:
         """Cache of the optimum without limits, which the problems that differ only in limits share (`design`)."""
         return {}
 
+    def without_optimum(self) -> "TransientProblem":
+        """A copy that does not know `unlimited`, for what that holds: a cycle would keep both until a collection."""
+        found = object.__new__(type(self))
+        vars(found).update({name: value for name, value in vars(self).items() if name != "unlimited"})
+        return found
+
     def aiming_at(self, target: Target) -> "TransientProblem":
         """The problem with another target; what does not depend on it is neither checked nor computed again."""
         found = self._with({"target": target})
