@@ -309,8 +309,8 @@ def _ways(entry: Adjustable, problem: TransientProblem, status: Status, played: 
         softer = []
     softened = [_way(entry, [move]) for move in softer]
     widened = [_way(entry, [move], least=least.get((limit.name,), 1.0)) for move, limit in wider]
-    alone = [*softened, *widened] if status is Status.HAND_OVER else [*widened, *softened]
-    yield [replace(weaker, guided=False), *alone] if status is Status.UNRESOLVED else alone
+    singly = [*softened, *widened] if status is Status.HAND_OVER else [*widened, *softened]
+    yield [replace(weaker, guided=False), *singly] if status is Status.UNRESOLVED else singly
     rising = [move for move, _ in wider if move[1]]
     both = [move for move in softer if move[0] != LATENCY]
     together = least.get(tuple(limit.name for limit in blamed), 1.0)

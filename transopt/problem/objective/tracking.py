@@ -11,8 +11,7 @@ from transopt.base.signals import FloatArray
 from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.objective.target import ZERO_M_S2, Target
 
-# What `filter_together` computes.
-FILTERED = dict.fromkeys(("wanted", "unit_wanted", "energy_m2_s4", "lost_m2_s4")).keys()
+FILTERED = ("wanted", "unit_wanted", "energy_m2_s4", "lost_m2_s4")  # what `filter_together` computes
 
 
 @dataclass(frozen=True)
@@ -242,7 +241,7 @@ def filter_together(costs: Sequence[Tracking]) -> None:
     """Filter the targets of costs with the same terms in one pass; all that depends on them is then cached."""
     groups: dict[tuple[object, ...], list[Tracking]] = {}
     for each in costs:
-        if vars(each).keys() >= FILTERED:
+        if vars(each).keys() >= {*FILTERED}:
             continue
         groups.setdefault((id(each.terms), each.target.lost, each.target.whole_m_s2.shape), []).append(each)
     for group in groups.values():
