@@ -339,9 +339,10 @@ def test_a_device_that_dies_half_way_leaves_nothing_half(
 
     def killing(news: News) -> None:
         nonlocal playing
-        if isinstance(news, Samples):
+        # A trial whose records are lost on a busy machine is played again: the first one's file tells when it is over.
+        if isinstance(news, Samples) and files():
             playing += sum(STATES[record.state] is State.PLAYING for record in news.records)
-            if playing > 1.5 * 5000:
+            if playing > 0.5 * 5000:
                 served.process.kill()
 
     def opened(port: str) -> Device:
