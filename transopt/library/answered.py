@@ -114,12 +114,12 @@ class Answered:
         """Angle by which that error turns the acceleration; 0 for a plant with one direction."""
         return self.problem.yardstick.across(self.uncorrected, self.made_m_s2)[1] if self.problem.directions else 0.0
 
-    @property
+    @cached_property
     def energy_dB(self) -> float:
         """Energy of y'' over the energy of r within the window, after the error filter [dB]; 0 if r is zero."""
         if self.problem.reference_is_zero:
             return 0.0
-        return self.problem.tracking.energy_dB(self.problem.accelerations(self.solution.command))
+        return self.problem.tracking.energy_dB(self.designed.effect.accelerations_m_s2)
 
     @property
     def unlimited_command(self) -> FloatArray:

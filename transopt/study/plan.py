@@ -19,7 +19,7 @@ from transopt.study.axes import Axis, label
 from transopt.study.recordings import StudyRecordings
 from transopt.study.tasks import Item, Task
 
-TOGETHER = 16  # entries per task; replaying 16 together takes 1.5 times as long as one
+TOGETHER = 32  # entries per task, which share one pass through solver and replay
 MOST_POINTS = 10_000_000
 # Tables that determine device, time axis or recordings. Points that differ in one of them share less work.
 HEAVY = ("model", "motor", "transmission", "tip", "amplifier", "time", "recordings", "targets", "feedback")
@@ -142,6 +142,11 @@ class Plan:
         for first in offsets(True):
             yield [first + offset for offset in offsets(False)]
 
+    @property
+    def together(self) -> int:
+        """Number of entries per task; on a nonlinear plant each is solved by itself, for seconds."""
+        return 1 if self.scene.nonlinear else TOGETHER
+
     def index(self, point: int, iv: int, ig: int) -> int:
         """Index of a row: points outermost, then speeds, then grips."""
         return (point * len(self.speeds_m_s) + iv) * len(self.grips_N) + ig
@@ -160,7 +165,7 @@ class Plan:
             recordings, source = recorded.of(self.changes(points[0]))
             for ig, grip in enumerate(self.grips_N):
                 rows = ((p, iv) for p in points for iv in range(len(self.speeds_m_s)))
-                while together := list(itertools.islice(rows, TOGETHER)):
+                while together := list(itertools.islice(rows, self.together)):
                     if all(done(self.index(p, iv, ig)) for p, iv in together):
                         continue
                     own = list(dict.fromkeys(p for p, _ in together))

@@ -47,11 +47,9 @@ def _hardest(entry: Entry) -> str:
     return "" if hardest is None else f"{hardest.name} {np.maximum(hardest.by_upper, hardest.by_lower).max():.2g}"
 
 
-def _made_dB(entry: Entry) -> float:
-    """Energy in the last term of the error over that of the target; NaN for a zero reference."""
-    problem = entry.problem
-    effect = entry.designed.effect
-    return NAN if problem.reference_is_zero else problem.tracking.energy_dB(effect.accelerations_m_s2)
+def _unless_silent(entry: Entry, value: float) -> float:
+    """A value that a zero reference does not have: it is NaN there."""
+    return NAN if entry.problem.reference_is_zero else value
 
 
 # Column -> its value for a solved entry, in the order of the file, after the index of the row. NaN and empty text
@@ -68,11 +66,11 @@ COLUMNS: dict[str, Callable[[Entry], Any]] = {
     "speed_change": lambda e: e.figures.speed,
     "bump_m_s2": lambda e: e.figures.bump_m_s2,
     "heat_A2_s": lambda e: e.heat_A2_s,
-    "energy_dB": _made_dB,
+    "energy_dB": lambda e: _unless_silent(e, e.energy_dB),
     # Energy of the nearest waveform; equal to energy_dB if the scene asks for no energy.
-    "waveform_dB": lambda e: _made_dB(e) if e.attained is None else e.attained.waveform_dB,
+    "waveform_dB": lambda e: _unless_silent(e, e.energy_dB) if e.attained is None else e.attained.waveform_dB,
     # Price lam of the energy: 0 if the scene asks for none or the nearest waveform has it already.
-    "intensity": lambda e: NAN if e.problem.reference_is_zero else e.problem.intensity,
+    "intensity": lambda e: _unless_silent(e, e.problem.intensity),
     "free_peak": lambda e: e.free_peak,
     "peak_input": lambda e: e.played.peak_input,
     "peak_command": lambda e: e.played.peak_command,

@@ -11,7 +11,7 @@ from typing import Any
 from transopt.base import terminal
 from transopt.study.executors import Pool
 from transopt.study.inverse import Answer, Question, answer, plan_at
-from transopt.study.plan import TOGETHER, Plan
+from transopt.study.plan import Plan
 from transopt.study.recordings import StudyRecordings
 from transopt.study.rows import Outcome, Row, row_of
 from transopt.study.run import execute
@@ -37,7 +37,7 @@ def definition(plan: Plan, recorded: StudyRecordings) -> dict[str, Any]:
         "grips_N": list(plan.grips_N),
         "full": plan.rivals,
         "solver": asdict(plan.options),
-        "together": TOGETHER,
+        "together": plan.together,
     }
 
 

@@ -4,6 +4,7 @@ A task is a small number of entries of one grip that share work: references are 
 the same device are replayed together. Tasks and outcomes are plain values, for any executor.
 """
 
+import itertools
 import json
 import threading
 import time
@@ -91,18 +92,26 @@ def run_task(task: Task) -> list[Outcome]:
         return _run(task)
 
 
+def _posed(task: Task, items: list[Item]) -> list[Posed | Exception]:
+    """The problems of items of one point, which share what they can; for an item without one, the reason."""
+    try:
+        context = _context(task, task.points[items[0].point])
+        references = [context.reference(item.speed_m_s, task.grip_N, item.target) for item in items]
+        return [*context.posed_together(references, task.grip_N)]
+    except Exception as error:
+        return [error] if len(items) == 1 else [one for item in items for one in _posed(task, [item])]
+
+
 def _run(task: Task) -> list[Outcome]:
     start = time.perf_counter()
     outcomes: dict[int, Outcome] = {}  # by position of their item
     posed: dict[int, Posed] = {}
-    contexts: dict[int, Context] = {}
-    for place, item in enumerate(task.items):
-        try:
-            if item.point not in contexts:
-                contexts[item.point] = _context(task, task.points[item.point])
-            posed[place] = contexts[item.point].posed(item.speed_m_s, task.grip_N, item.target)
-        except Exception as error:
-            outcomes[place] = _ended(task, item, error)
+    points = itertools.groupby(task.items, lambda item: item.point)
+    for place, one in enumerate(one for _, items in points for one in _posed(task, [*items])):
+        if isinstance(one, Exception):
+            outcomes[place] = _ended(task, task.items[place], one)
+        else:
+            posed[place] = one
     failed: dict[int, Exception] = {}
 
     def tell(which: Posed, error: Exception) -> None:

@@ -40,7 +40,7 @@ def run(terminal: Terminal) -> Run:
 def unstopped(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What a run leaves that nobody stops."""
     short, out = short_scene(scene), tmp_path_factory.mktemp("unstopped")
-    axis = parse_axis(short, "--vary", "limits.current_A=1:4:32")
+    axis = parse_axis(short, "--vary", "limits.current_A=1:4:64")
     run_plan(Plan(short, (axis,), (0.3, 0.4), (1.0, 5.0)), out, serial())
     return out
 
@@ -233,7 +233,7 @@ class TestCommandLine:
         self, run: Run, scene_file: Path, unstopped: Path, sent: signal.Signals, how: list[str]
     ) -> None:
         out = Path("out")
-        words = [str(scene_file), "--vary", "limits.current_A=1:4:32", "--speed", "0.3,0.4", "--grip", "1,5"]
+        words = [str(scene_file), "--vary", "limits.current_A=1:4:64", "--speed", "0.3,0.4", "--grip", "1,5"]
         command = [sys.executable, str(ROOT / "scripts" / "constraint_study.py"), *words, *how, "--out", str(out)]
         file, log = out / "study.sqlite", out / "study.sqlite-wal"  # rows stand in the log first
         with subprocess.Popen(
@@ -255,10 +255,10 @@ class TestCommandLine:
             assert "Traceback" not in said
             assert running.returncode == 128 + sent
             kept = len(read(out / "rows.csv"))
-            assert f"stopped: {kept} of 128 entries are in {file}; the same command goes on from there" in said
+            assert f"stopped: {kept} of 256 entries are in {file}; the same command goes on from there" in said
         with closing(sqlite3.connect(file)) as there:
             before = there.execute('SELECT "index", total_ms FROM rows').fetchall()
-        assert TOGETHER <= len(before) < 128
+        assert TOGETHER <= len(before) < 256
         assert run(*words, "--executor", "serial", "--out", out).code == 0
         assert_same_rows(out / "rows.csv", unstopped / "rows.csv")
         rows = read(out / "rows.csv")

@@ -12,11 +12,13 @@ import numpy as np
 import pytest
 
 import problems
+from tests.benches.actuators import nonlinear_scene
 from transopt.base.errors import InputError
 from transopt.base.writing import csv_text
 from transopt.design import design as the_one_way
 from transopt.design.build import Build
 from transopt.recordings.recording import Recording
+from transopt.scene.file import read_scene
 from transopt.scene.keys import Changes, with_values
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
@@ -132,6 +134,12 @@ class TestPoints:
                 assert task.points[item.point] == plan.changes(point)
                 speed, grip = np.unravel_index(item.index % plan.entries_per_point, (2, 2))
                 assert (item.speed_m_s, task.grip_N) == (plan.speeds_m_s[speed], plan.grips_N[grip])
+
+    def test_on_a_nonlinear_plant_an_entry_is_a_task(self, tmp_path: Path) -> None:
+        scene = read_scene(nonlinear_scene(tmp_path))
+        axis = parse_axis(scene, "--vary", "limits.voltage_V=2,12")
+        tasks = list(Plan(scene, (axis,), (0.0,), (0.0,)).tasks(lambda _: False, StudyRecordings(scene, (axis,))))
+        assert [len(task.items) for task in tasks] == [1, 1]
 
     def test_what_is_done_leaves_no_task_but_changes_none(self, small: Plan) -> None:
         takes = StudyRecordings(small.scene, small.axes)
