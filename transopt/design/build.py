@@ -1,5 +1,7 @@
 """From a scene and its recordings to a library: every entry designed, the file assembled."""
 
+import itertools
+import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -218,22 +220,23 @@ def build_library(
         scene = scene.model_copy(update={"grid": refinement.grid})
         context = context.varied(scene)
     rows, devices = scene.axes.rows, scene.axes.devices
-    columns: list[list[Entry]] = []
     table = EntryArrays(len(rows), len(devices), without=TARGETS)
-    some = max(SOLVED_TOGETHER // len(rows), 1)
-    for first in range(0, len(devices), some):
+    entries: list[list[Entry]] = [[] for _ in rows]
+    # Some whole devices together, or a part of the rows of one that has many.
+    some, parts = max(SOLVED_TOGETHER // len(rows), 1), math.ceil(len(rows) / SOLVED_TOGETHER)
+    for first, part in itertools.product(range(0, len(devices), some), np.array_split(range(len(rows)), parts)):
         posed = [
             each
             for number in range(first, min(first + some, len(devices)))
-            for each in context.posed_together([row[number] for row in context.cells.rows], *devices[number])
+            for each in context.posed_together([context.cells.rows[i][number] for i in part], *devices[number])
         ]
         designed = design(posed, options=options)
-        for column in (designed[i : i + len(rows)] for i in range(0, len(designed), len(rows))):
+        for column in (designed[i : i + part.size] for i in range(0, len(designed), part.size)):
             table.add(column)
             # The table has replayed and judged the entries, so that progress counts finished ones.
             progress(len(column))
-            columns.append(column)
-    entries = [[column[i] for column in columns] for i in range(len(rows))]
+            for i, entry in zip(part, column, strict=True):
+                entries[i].append(entry)
     if not scene.nonlinear:
         entries = with_remedies(context, entries, options)
     cool = _cool(context, entries, options)

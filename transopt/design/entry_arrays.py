@@ -34,7 +34,7 @@ class EntryArrays:
     """
 
     def __init__(self, rows: int, devices: int, without: Collection[str] = ()) -> None:
-        self.shape, self._number, self._complete = (rows, devices), 0, True
+        self.shape, self._count, self._complete = (rows, devices), 0, True
         self._made = {
             name: (array.made, array.is_text)
             for name, array in ARRAYS.items()
@@ -42,38 +42,44 @@ class EntryArrays:
         }
         self._found = dict[str, Any]()
 
-    def add(self, column: Sequence[Entry]) -> None:
-        """Replay and judge all entries of the next device, add their values if all are admitted, and free courses."""
-        judged = [entry.admitted for entry in column]
+    def add(self, entries: Sequence[Entry]) -> None:
+        """Replay and judge the next entries, add their values if all are admitted, and free their courses.
+
+        Parameters
+        ----------
+        entries : of one device, in the order of their rows; those of the next device follow the last row.
+        """
+        judged = [entry.admitted for entry in entries]
         self._complete &= all(judged)
         if self._complete:
-            self._add(column)
-        for entry in column:
+            self._add(entries)
+        for entry in entries:
             entry.let_go()
 
-    def _add(self, column: Sequence[Entry]) -> None:
+    def _add(self, entries: Sequence[Entry]) -> None:
+        device, first = divmod(self._count, self.shape[0])
         for name, (made, is_text) in self._made.items():
-            if name == "transient_command" and column[0].problem.wall is None:
+            if name == "transient_command" and entries[0].problem.wall is None:
                 continue  # it is the command itself
-            values: NDArray[Any] = np.array([made(entry) for entry in column], dtype=object if is_text else float)
+            values: NDArray[Any] = np.array([made(entry) for entry in entries], dtype=object if is_text else float)
             if name not in self._found:
                 self._found[name] = np.zeros((*self.shape, *values.shape[1:]), values.dtype)
             # Memory of zeros that is never written to is not allocated.
             if is_text or values.any():
-                self._found[name][:, self._number] = values
-        for row, entry in enumerate(column):
+                self._found[name][first : first + len(entries), device] = values
+        for row, entry in enumerate(entries, start=first):
             sides = of_sides(entry.solution.multipliers)
             for name, course in sides.items():
                 at = np.flatnonzero(course)
                 if name not in self._found:
                     self._found[name] = _mostly_zeros((*self.shape, *course.shape))
-                self._found[name][row, self._number, at] = course[at]
-            self._share(entry, row, sides)
-        self._number += 1
+                self._found[name][row, device, at] = course[at]
+            self._share(entry, (row, device), sides)
+        self._count += len(entries)
 
-    def _share(self, entry: Entry, row: int, sides: Collection[str]) -> None:
+    def _share(self, entry: Entry, at: tuple[int, int], sides: Collection[str]) -> None:
         """Let an entry hold views of the arrays in place of its command and multipliers, which are in memory once."""
-        found = {name: array[row, self._number] for name, array in self._found.items()}
+        found = {name: array[at] for name, array in self._found.items()}
         designed, answer, multipliers = entry.designed, entry.solution, entry.solution.multipliers
         zero = Multipliers.zero(entry.problem, multipliers.hand_over)
         pairs = pairs_of({name: found[name] for name in sides}, zero.slope)
@@ -91,7 +97,7 @@ class EntryArrays:
         further : names of multiplier arrays that not every library has (`further_arrays`).
         """
         assert self._complete
-        assert self._number == self.shape[1]
+        assert self._count == math.prod(self.shape)
         found = self._found
         named = (*self._made, *MULTIPLIERS, *further)
         texts = {name: np.array(found[name].tolist()) for name, (_, is_text) in self._made.items() if is_text}

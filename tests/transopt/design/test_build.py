@@ -166,6 +166,24 @@ def test_answers_played_in_several_simulations_are_those_of_one(
         np.testing.assert_allclose(one.made_m_s2, other.made_m_s2, rtol=1e-9, atol=1e-9)
 
 
+def test_a_grip_solved_in_parts_gives_the_library_of_one_pass(
+    scene: Scene, taps: list[Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = build_library(scene, taps)
+    monkeypatch.setattr("transopt.design.build.SOLVED_TOGETHER", 3)
+    done = list[int]()
+    parted = build_library(scene, taps, progress=done.append)
+    assert done == [2, 2] * len(scene.axes.devices)
+    assert parted.library is not None
+    assert whole.library is not None
+    for name, array in whole.library.arrays().items():
+        if array.dtype.kind == "f" and name != "solve_time_s":
+            np.testing.assert_allclose(parted.library.arrays()[name], array, rtol=1e-6, atol=1e-9, err_msg=name)
+    assert [[entry.place for entry in row] for row in parted.entries] == [
+        [entry.place for entry in row] for row in whole.entries
+    ]
+
+
 def test_an_entry_that_has_let_its_courses_go_tells_the_same(scene: Scene, taps: list[Recording]) -> None:
     (entry,) = design([Context.recorded(scene, taps).posed(0.4, 5.0)])
     effect, target, tracking = entry.designed.effect, entry.problem.target, entry.problem.tracking
