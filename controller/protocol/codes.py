@@ -83,6 +83,18 @@ class Reason(Enum):
     WALL_PUSHES = "the wall pushes against the stylus: lift it off the surface, then move the surface"
 
 
+# Unit of the number that a refusal states, where it can be of one kind only.
+REFUSED_UNITS = {
+    Reason.NOT_AT_REST: " m/s",
+    Reason.TOO_HOT: " C",
+    Reason.BAD_LEASE: " ms",
+    Reason.OVER_LIMIT: " A",
+    Reason.BAD_TIMING: " s",
+    Reason.CURRENT_FLOWS: " A",
+    Reason.WALL_PUSHES: " A",
+}
+
+
 class Stage(IntEnum):
     """How far the device's evidence has come."""
 

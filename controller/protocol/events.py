@@ -8,7 +8,7 @@ from operator import attrgetter
 import numpy as np
 
 from controller.protocol.capacity import Capacity
-from controller.protocol.codes import Kind, Reason, What
+from controller.protocol.codes import REFUSED_UNITS, Kind, Reason, What
 from controller.protocol.messages import EvidenceReply, HelloReply, Record
 from controller.servo.interface import Fault, State
 from transopt.base.signals import FloatArray
@@ -53,7 +53,7 @@ class Refused:
     value: float
 
     def __str__(self) -> str:
-        seen = "" if self.value != self.value else f" (device saw {self.value:g})"
+        seen = "" if self.value != self.value else f" (device saw {self.value:g}{REFUSED_UNITS.get(self.reason, '')})"
         return f"{self.request.name.lower().replace('_', ' ')} refused: {self.reason.value}{seen}"
 
 

@@ -36,7 +36,7 @@ def test_a_library_that_does_not_fit(play: Run, library: Library, monkeypatch: p
         play("upload", "library.npz", *PORT), "motor.winding_max_C = 100 C: more than the hardware allows, up to 90 C"
     )
     Desk(library, hardware=Hardware(dt_s=2e-4)).put(monkeypatch)
-    assert_refused(play("upload", "library.npz", *PORT), "servo period or lead differ", "(device saw 0.0001)")
+    assert_refused(play("upload", "library.npz", *PORT), "servo period or lead differ", "(device saw 0.0001 s)")
 
 
 def test_a_coil_that_only_the_device_knows_is_told(

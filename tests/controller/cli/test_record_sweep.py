@@ -263,7 +263,7 @@ def test_a_coil_that_has_become_too_warm_is_let_cool_and_no_fault(play: Run, che
     checked.each_ms = look
     outcome = play(*SHORT)
     assert outcome.code == 1
-    assert "start refused: the coil is too hot to play: let it cool (device saw 95)" in outcome.out
+    assert "start refused: the coil is too hot to play: let it cool (device saw 95 C)" in outcome.out
     assert (checked.end.state, checked.end.look().fault) == (State.IDLE, None)
     assert not files()
 
