@@ -7,7 +7,7 @@ from pathlib import Path
 
 from controller.protocol import capacity, configuration, image, messages
 from controller.protocol.c_header import C_TYPES
-from controller.protocol.codes import EVENTS, EVIDENCE_FAULTS, REASONS, STATES, Kind, Reason, Stage
+from controller.protocol.codes import EVENTS, EVIDENCE_FAULTS, REASONS, REFUSED_UNITS, STATES, Kind, Reason, Stage
 from controller.protocol.packed import HASH_BYTES, OPEN_END
 from controller.protocol.wire import encode
 from controller.servo import settings
@@ -217,7 +217,8 @@ def protocol_page() -> str:
     ]
     page += "## Requests: when they are granted\n\n" + _table(("request", "answer", "states", "refused for"), asked)
     page += "## Reasons of REFUSED\n\n" + _table(
-        ("code", "name", "meaning"), [(str(c), r.name, r.value) for c, r in REASONS.items()]
+        ("code", "name", "unit of value", "meaning"),
+        [(str(c), r.name, REFUSED_UNITS.get(r, "").strip(), r.value) for c, r in REASONS.items()],
     )
     page += "## States, events, stages of evidence\n\n"
     page += ", ".join(f"{code} {state.name}" for code, state in enumerate(STATES)) + ".\n\n"
