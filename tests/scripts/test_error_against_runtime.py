@@ -325,9 +325,9 @@ class TestCommand:
     def test_a_method_that_hangs_is_cut_and_has_failed(
         self, rows_of: Any, user_file: Any, monkeypatch: pytest.MonkeyPatch, hang: str
     ) -> None:
-        monkeypatch.setattr(user, "TIME_LIMIT_S", 0.01)
         before = signal.getsignal(signal.SIGALRM)
         method = user.user_method(user_file(f"def solve(qp):\n{hang}"))
+        monkeypatch.setattr(user, "TIME_LIMIT_S", 0.01)
         (row,) = rows_of(method)
         assert row.status == "TimeoutError: time limit of 0.01 s"
         assert math.isinf(row.error)
