@@ -339,7 +339,7 @@ def test_a_device_that_dies_half_way_leaves_nothing_half(
 
     def killing(news: News) -> None:
         nonlocal playing
-        # A trial whose records are lost on a busy machine is played again: the first one's file tells when it is over.
+        # A trial whose records a busy machine loses is played again, so the first file tells when one is over.
         if isinstance(news, Samples) and files():
             playing += sum(STATES[record.state] is State.PLAYING for record in news.records)
             if playing > 0.5 * 5000:
