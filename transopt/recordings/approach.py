@@ -86,10 +86,10 @@ def find_approach(
             said = "offset and incoming acceleration are not told apart without a position: the latter is taken as 0"
             return Approach(x, notes=(said,))
         missing, error, source = found
-    incoming = before + missing
-    if abs(incoming) <= max(error, LEAST_M_S2):
+    incoming, least = before + missing, max(error, LEAST_M_S2)
+    if max(abs(incoming), abs(missing)) <= least:
         return Approach(x, source=source)
-    return Approach(x.with_values(x.values + missing), missing, incoming, source)
+    return Approach(x.with_values(x.values + missing), missing, incoming if abs(incoming) > least else 0.0, source)
 
 
 def _coming(x: Signal, onset_s: float) -> slice:

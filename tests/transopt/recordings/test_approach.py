@@ -1,12 +1,13 @@
 """Offset and incoming acceleration told apart, and sensors that do not read down to 0 Hz."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.signal import butter, lfilter
 
-from transopt.base.signals import STANDARD_GRAVITY_M_S2, Signal, nrmse
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal, nrmse
 from transopt.recordings.approach import AT_REST, SEPARATED, STATED, UNSEPARATED
 from transopt.recordings.recording import Recording
 from transopt.recordings.settings import Recordings
@@ -146,3 +147,35 @@ class TestCutOff:
         said = "what is slower is missing" if known else "only the rapid error is minimised"
         assert said in "; ".join(tap.notes)
         assert prepare(taps[0], scene.recordings).slow_part_known
+
+
+def coming(hand: Callable[[FloatArray], FloatArray]) -> Recording:
+    """A tap at 0.3 m/s of a hand with this acceleration at times (n,) from contact, recorded from 60 ms before it."""
+    t = np.arange(-0.06, 0.1, 1e-4)
+    own = hand(t)
+    a = own + np.where((t >= 0) & (t < 4e-3), 80 * np.sin(np.pi * t / 4e-3), 0.0)
+    velocity = np.cumsum(a) * 1e-4
+    velocity += -0.3 - velocity[t < 0][-1]
+    z = np.cumsum(velocity) * 1e-4
+    z = np.round((z - z[t < 0][-1]) / COUNT_M) * COUNT_M
+    noise = 0.2 * np.random.default_rng(1).standard_normal(t.size)
+    return Recording("tap", "test", "", Signal(-0.06, 1e-4, a + 9.81 + noise), Signal(-0.06, 1e-4, z))
+
+
+def pushed(first_s: float, last_s: float, peak_m_s2: float) -> Callable[[FloatArray], FloatArray]:
+    """A smooth push within these times."""
+
+    def hand(t: FloatArray) -> FloatArray:
+        part = np.clip((t - first_s) / (last_s - first_s), 0.0, 1.0)
+        return np.asarray(peak_m_s2 * np.sin(np.pi * part) ** 2)
+
+    return hand
+
+
+class TestSteady:
+    """The rms of these taps is 20 m/s^2 until the hand can react."""
+
+    def test_what_a_hand_has_done_before_is_no_offset(self) -> None:
+        tap = prepare(coming(pushed(-0.055, -0.025, -8.0)), Recordings(files=["unused"]))
+        assert tap.offset_m_s2 == pytest.approx(9.81, abs=0.2)
+        assert (tap.incoming_acceleration_m_s2, tap.notes) == (0.0, ())
