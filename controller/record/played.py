@@ -25,12 +25,12 @@ from transopt.plant.intention import INTENTION_S
 from transopt.problem.answer import verdict
 from transopt.problem.objective.bands import Levels, levels
 from transopt.problem.objective.figures import Figures, felt
+from transopt.recordings.approach import MOST_OWN, not_steady
 
 FIT_S = 0.03  # part of the approach that the parabola is fitted to
 LEAST_FIT = 10  # least records for the fit
-APPROACH_S, STRETCH_S = 0.05, 0.01  # an approach before the waveform, and the stretches of it that are looked at
-SLOWEST = 0.25  # of the speed at contact; slower in a stretch, a simulated tap is off its prediction by 30 to 130 %
 REST_S = 0.02  # time before the waveform in which the accelerometer reads gravity and offset only
+HAND_PART = 0.8  # least energy of the line in the difference: hands have 0.89 and more, wrong devices at most 0.45
 CUTOFF_HZ = 1000.0  # low-pass, as for recordings
 NOTHING = float("nan")
 
@@ -46,6 +46,8 @@ class Compared:
     tap_error : error against the recorded tap. felt_error : the same in the band in which vibration is felt.
     playback_error : error against the prediction.
     scale : least squares factor of the prediction to the played tap.
+    by_hand : the same error of a straight line alone, if that is most of the difference; else 0. A hand can do no
+        more within this time, and a device that is off differs in the pulse.
     speed : change of speed, played over recorded.
     peak_m_s2, predicted_peak_m_s2, reference_peak_m_s2 : largest |acceleration| after the low-pass.
     spectral_error_dB : against the recorded tap, see `metrics.spectral_error_dB`.
@@ -63,6 +65,7 @@ class Compared:
     levels: Levels | None
     scale: float = float("nan")
     felt_error: float = float("nan")
+    by_hand: float = 0.0
 
 
 NOT_COMPARED = Compared(NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, None)
@@ -102,10 +105,12 @@ class PlayedTap:
 
     @property
     def remark(self) -> str:
-        """In words: why nothing can be compared, else what the coil's heat has changed."""
+        """In words: why nothing can be compared, else what the coil's heat and the hand have changed."""
         heat = [f"{100 * self.contact.cooled:.0f} % of the cooler transient"] if self.contact.cooled > 0 else []
         heat += [f"scaled by {self.contact.scale:.2f} for the coil"] if self.contact.scale < 1 else []
-        return self.why or ", ".join(heat)
+        part = self.compared.by_hand
+        hand = f"off by {100 * part:.0f} % as by a hand that brakes or speeds up at contact, or not the library's"
+        return self.why or ", ".join([*heat, *[hand] * (part > MOST_OWN)])
 
     @property
     def verdict(self) -> str:
@@ -146,25 +151,19 @@ def met_surface(contact: Contact, settings: Settings) -> tuple[float, float]:
     return (float(lead - (a + b * lead + c * lead**2) / slope), float(-slope)) if slope < 0 else (NOTHING, NOTHING)
 
 
-def not_straight(contact: Contact, settings: Settings) -> str:
-    """Reason why the hand was not on its way to the surface in every stretch of the approach; empty if it was.
-
-    The prediction holds for a hand that comes in steadily. Masses and springs of one that has just turned round or
-    set off still move against each other, and the accelerometer's reading at rest is none.
-    """
-    speed_m_s, every = met_surface(contact, settings)[1], round(STRETCH_S / contact.dt_s)
-    times = (contact.ticks - contact.tick) * contact.dt_s
-    heights = height_m(contact, settings)[(times <= 0) & (times >= -APPROACH_S - contact.dt_s / 2)][::-1][::every]
-    if heights.size < 2 or not np.isfinite(speed_m_s):
+def why_not_steady(contact: Contact, settings: Settings, prediction: Prediction) -> str:
+    """Reason why the hand did not come in as the prediction assumes; empty if it did."""
+    times, acceleration = (contact.ticks - contact.tick) * contact.dt_s, contact.acceleration_m_s2
+    # Another contact before this one may have reached the accelerometer's rail.
+    first = int(np.flatnonzero(~np.isfinite(acceleration) & (times < 0)).max(initial=-1)) + 1
+    before = slice(first, int(np.count_nonzero(times < 0)))
+    if before.stop - first < LEAST_FIT:
         return ""
-    ways = np.diff(heights)
-    if ways.min() + settings.count_m >= SLOWEST * speed_m_s * STRETCH_S:
-        return ""
-    ago_ms, slowest = 1e3 * STRETCH_S * (1 + int(np.argmin(ways))), float(ways.min()) / STRETCH_S
-    return (
-        f"no straight approach: {ago_ms:.0f} ms before contact it came in at {slowest:.2g} m/s, at contact at "
-        f"{speed_m_s:.2g} m/s (at least {SLOWEST:.0%} of that): a rebound, or begun too near: begin higher"
+    x, position = (
+        Signal(float(times[first]), float(times[1] - times[0]), values[before])
+        for values in (acceleration - resting_m_s2(contact), height_m(contact, settings))
     )
+    return not_steady(x, position, 0.0, prediction.rms_m_s2)
 
 
 def through_pole(values: FloatArray, dt_s: float, bandwidth_Hz: float) -> FloatArray:
@@ -190,7 +189,7 @@ def since_contact(
     library: Library,
     settings: Settings,
     accelerometer: Accelerometer,
-    first_s: float,
+    prediction: Prediction,
     last_s: float,
 ) -> Signal | str:
     """Acceleration less the reading at rest, over the time from contact; or the reason why there is none.
@@ -199,7 +198,9 @@ def since_contact(
     ----------
     library : the one that was played.
     accelerometer : as the device file describes it.
-    first_s, last_s : time span that must be recorded, with the largest shift of the alignment added on both sides.
+    prediction : of this tap.
+    last_s : time to which it must be recorded, from the prediction's first on; the largest shift of the alignment is
+        added on both sides.
     """
     if contact.missed:
         return f"{contact.missed} records were lost"
@@ -208,13 +209,13 @@ def since_contact(
     if not step <= 1.5 * contact.dt_s:
         return "telemetry of every tick is needed"
     times -= met_surface(contact, settings)[0]
-    first_s, last_s = first_s - MOST_SHIFT_S, last_s + MOST_SHIFT_S
+    first_s, last_s = float(prediction.times_s[0]) - MOST_SHIFT_S, last_s + MOST_SHIFT_S
     if not (times[0] <= first_s and last_s <= times[-1]):
         return "not all of it was recorded"
-    if why := not_straight(contact, settings):
-        return why
     acceleration, needed = contact.acceleration_m_s2, (times >= first_s) & (times <= last_s)
     if why := why_at_rail(times[needed], acceleration[needed], accelerometer, library):
+        return why
+    if why := why_not_steady(contact, settings, prediction):
         return why
     # Another contact before or after this one may have reached the rail.
     none = np.flatnonzero(~np.isfinite(acceleration))
@@ -290,7 +291,7 @@ def _compare(
         return beyond
     until = prediction.times_s <= INTENTION_S
     at = prediction.times_s[until]
-    measured = since_contact(contact, library, settings, accelerometer, float(at[0]), float(at[-1]))
+    measured = since_contact(contact, library, settings, accelerometer, prediction, float(at[-1]))
     if isinstance(measured, str):
         return measured
 
@@ -301,6 +302,8 @@ def _compare(
     played, expected = lowpass(measured, CUTOFF_HZ), sensed(prediction.whole_m_s2)
     aligned = align(played.times_s, played.values, at, expected)
     reference = sensed(prediction.recorded_m_s2)
+    difference = aligned.played_m_s2 - expected
+    slow = np.polynomial.Polynomial.fit(at, difference, 1)(at)
     heard = [felt(course, contact.dt_s) for course in (aligned.played_m_s2, reference)]
     return Compared(
         latency_s=aligned.latency_s,
@@ -314,4 +317,5 @@ def _compare(
         levels=levels(aligned.played_m_s2, reference, contact.dt_s),
         scale=float(aligned.played_m_s2 @ expected / (expected @ expected)),
         felt_error=nrmse(*heard),
+        by_hand=nrmse(expected + slow, expected) if slow @ slow > HAND_PART * (difference @ difference) else 0.0,
     )

@@ -84,7 +84,7 @@ def hear(
         return "the library is silent there"
     times = prediction.times_s
     last_s = float(times[fade_of(times) > 0][-1])
-    found = since_contact(contact, library, settings, accelerometer, float(times[0]), last_s)
+    found = since_contact(contact, library, settings, accelerometer, prediction, last_s)
     if isinstance(found, str):
         return found
     peak_A = float(np.abs(contact.current_A).max())

@@ -8,10 +8,11 @@ import numpy as np
 
 from controller.device.device_file import Accelerometer, DeviceFile
 from controller.device.rail import why_at_rail
-from controller.record.played import height_m, met_surface, not_straight, played_tap
+from controller.record.played import height_m, met_surface, played_tap, why_not_steady
 from controller.record.recorder import Contact
 from controller.refine.heard import Node, node_near
 from controller.servo.settings import Settings
+from controller.waveforms.prediction import predict
 from transopt.base.errors import InputError
 from transopt.identify.calibration import Calibration, PlayedRecord, calibrate
 from transopt.identify.device.response import Instrument
@@ -116,7 +117,7 @@ def record_of(
         return "nothing was played: hold the stylus more firmly, or tap faster"
     if not (abs(met_s) < NEAR_S and times[0] <= -BEFORE_S and times[-1] >= met_s + intention_s):
         return "not all of it was recorded, from 50 ms before the contact until the hand can react"
-    if why := not_straight(contact, settings):
+    if why := why_not_steady(contact, settings, predict(library, contact.speed_m_s, contact.grip_N)):
         return why
     taken = (times >= -BEFORE_S) & (times < met_s + intention_s)
     first = int(np.argmax(times[taken] > -contact.dt_s / 2))

@@ -16,7 +16,9 @@ from controller.waveforms.prediction import Prediction, predict
 from transopt.base.signals import FloatArray, Signal
 from transopt.library.library import Library
 from transopt.plant.intention import INTENTION_S
+from transopt.recordings.approach import not_steady
 from transopt.recordings.recording import Recording
+from transopt.recordings.speed import seen_speed
 
 LEAST_REST_S = 2e-3  # least rest recorded before the tap
 LEAST_LIKENESS = 0.5  # least correlation with the predicted tap; noise has some hundredths, another device 0.9
@@ -75,7 +77,13 @@ def _hear(
     missing_s = begin + times[fade_of(times) > 0][-1] + MOST_SHIFT_S - x.end_s
     if missing_s > 0:
         return f"ends {1e3 * missing_s:.1f} ms too early: record until 40 ms after contact"
-    measured = Signal(x.start_s - begin, x.dt_s, x.values - x.values[resting].mean())
+    x = x.with_values(x.values - x.values[resting].mean())
+    seen = seen_speed(recording, begin)
+    # A position of the other sign, or of something else, does not fall before contact.
+    position = recording.position if seen is not None and seen[0] > 0 else None
+    if why := not_steady(x, position, begin + float(times[0]), prediction.rms_m_s2):
+        return why
+    measured = Signal(x.start_s - begin, x.dt_s, x.values)
     current = recording.current
     peak_A = float("nan") if current is None else float(np.abs(current.values).max())
     return heard(measured, prediction, float(library.speeds_m_s[node[0]]), bandwidth_Hz, peak_A)

@@ -9,6 +9,7 @@ from transopt.base.signals import FloatArray
 from transopt.library.library import Library
 from transopt.library.place import interpolation_weights
 from transopt.plant.discretise import discretise
+from transopt.plant.intention import INTENTION_S
 from transopt.plant.wall import HandOver
 from transopt.proof.replay import replay
 
@@ -49,6 +50,11 @@ class Prediction:
     def whole_m_s2(self) -> FloatArray:
         """(N,) predicted acceleration of the stylus: y'' by the current plus a_free without it."""
         return self.acceleration_m_s2 + self.own_m_s2
+
+    @property
+    def rms_m_s2(self) -> float:
+        """Rms of the predicted acceleration of the stylus until the hand can react."""
+        return float(np.sqrt(np.mean(self.whole_m_s2[self.times_s <= INTENTION_S] ** 2)))
 
     @property
     def recorded_m_s2(self) -> FloatArray:

@@ -20,6 +20,7 @@ IndexArray = NDArray[np.intp]
 AnyArray = NDArray[Any]
 
 STANDARD_GRAVITY_M_S2 = 9.80665
+REACTION_S = 30e-3  # nobody reacts to a tap sooner (seed Eq. 2)
 WHOLE_COUNTS = 0.01  # tolerance, in counts, of a change that has to be a multiple of one count
 FLAT_RUN, FLAT_COUNT = 3, 6  # least samples in a row, and in all, exactly at the extreme to count as clipped
 FAR_PART = 0.5  # least part of the span of a signal by which an end of a sensor's range lies away from rest

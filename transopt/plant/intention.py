@@ -15,10 +15,10 @@ import numpy as np
 
 from transopt.base.matrices import expm
 from transopt.base.recursions import LinearSystem
-from transopt.base.signals import FloatArray
+from transopt.base.signals import REACTION_S, FloatArray
 from transopt.plant.state_space import StateSpace
 
-INTENTION_S = 30e-3  # time after contact during which the hand's intended motion does not change
+INTENTION_S = REACTION_S  # time after contact during which the hand's intended motion does not change
 BRAKING_S = 60e-3  # time in which a hand that brakes comes to rest, at constant deceleration
 PULLING_S = (
     60e-3  # time in which a hand that pulls back reaches the incoming speed outwards, at constant acceleration

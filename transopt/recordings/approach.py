@@ -14,6 +14,9 @@ with p and q, start value and offset, fitted to the position
 
 A sensor that reads down to 0 Hz has w = 0 and q = 0. Then only the approach is fitted, where an error of the sensor's
 scale has no effect; otherwise the course from the approach to after the tap.
+
+A tap assumes that its hand comes in steadily, and goes on so until it can react. Masses and springs of one that has
+just turned round or set off still move against each other, and one that accelerates may stop doing so at contact.
 """
 
 import math
@@ -21,8 +24,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from transopt.base.signals import FloatArray, Signal, integral
+from transopt.base.signals import REACTION_S, FloatArray, Signal, integral
 from transopt.recordings.speed import fitted
+from transopt.recordings.split import white_noises
 
 GUARD_S = 1e-3  # left out before contact, because the low-passed rise of the tap reaches that far
 INCOMING_S = 10e-3  # the incoming acceleration is the mean over this time before contact
@@ -32,6 +36,10 @@ LEAST_M_S2 = 0.1  # a smaller incoming acceleration changes the speed by 3 mm/s 
 REST_S, LEAVING_S = 20e-3, 5e-3  # shortest rest, and its end to leave out, where the hand moves within one count
 REST_M = 25e-6  # motion of a finer position that still counts as rest
 TRUSTED_Hz = 1.0  # a lower cut-off loses little in 30 ms, at most 6 % of the change of speed
+STEADY_S = 20e-3  # time before contact that tells how a hand comes in
+# Largest acceleration of a hand, over the rms of its tap. By a simulator all taps that are off by more than 20 %
+# because of what the hand did before contact have a larger one.
+MOST_OWN = 0.2
 SEPARATED, AT_REST, STATED, UNSEPARATED = "position", "rest", "stated offset", "unknown"
 
 
@@ -90,6 +98,38 @@ def find_approach(
     if max(abs(incoming), abs(missing)) <= least:
         return Approach(x, source=source)
     return Approach(x.with_values(x.values + missing), missing, incoming if abs(incoming) > least else 0.0, source)
+
+
+def not_steady(x: Signal, position: Signal | None, onset_s: float, tap_m_s2: float) -> str:
+    """`unsteady` for a sensor that reads down to 0 Hz: its acceleration less a baseline, and a position if known."""
+    (noise,) = white_noises(x.values[None])
+    return unsteady(find_approach(x, position, onset_s, noise, 0.0, stated=False), onset_s, tap_m_s2)
+
+
+def unsteady(came: Approach, onset_s: float, tap_m_s2: float) -> str:
+    """Reason why the hand did not come in steadily; empty if it did, or nothing tells.
+
+    Its own acceleration is judged by the mean over the last 20 ms, and by the straight line through them, continued
+    until it can react: by as much as these the tap is off if the hand goes on differently.
+
+    Parameters
+    ----------
+    onset_s : time of contact. tap_m_s2 : rms of the tap until the hand can react.
+    """
+    x = came.acceleration
+    first, end = (x.before(onset_s - GUARD_S - before_s) for before_s in (STEADY_S, 0.0))
+    if not came.slow_part_known or end - first < LEAST_SAMPLES:
+        return ""
+    last, since_s = x.values[first:end], x.start_s + x.dt_s * first - onset_s
+    (ahead, _), (error, _) = fitted(since_s - REACTION_S, x.dt_s, last, 0.0, 2)
+    mean, most = float(last.mean()), MOST_OWN * tap_m_s2
+    if max(abs(mean), abs(ahead) - error) <= most:
+        return ""
+    return (
+        f"no steady approach: in the last {1e3 * STEADY_S:g} ms the hand itself accelerates by {mean:.2g} m/s^2, "
+        f"which goes on to {ahead:.2g} m/s^2 {1e3 * REACTION_S:g} ms after contact (at most {most:.2g} m/s^2, "
+        f"{100 * MOST_OWN:g} % of the tap): a rebound, or begun too near: begin higher, and move evenly"
+    )
 
 
 def _coming(x: Signal, onset_s: float) -> slice:

@@ -13,13 +13,13 @@ from transopt.base.errors import InputError
 from transopt.base.files import is_file
 from transopt.base.filters import lowpass, lowpassed
 from transopt.base.shown import brief
-from transopt.base.signals import FloatArray, Signal, alike, median
+from transopt.base.signals import REACTION_S, FloatArray, Signal, alike, median
 from transopt.base.sizes import MOST_FILES
 from transopt.files.names import apart
 from transopt.files.unclear import Answer, UnclearError
 from transopt.files.units import read_unit
 from transopt.recordings.after_contact import pulled_back_after_s, second_hit
-from transopt.recordings.approach import GUARD_S, find_approach
+from transopt.recordings.approach import GUARD_S, Approach, find_approach, unsteady
 from transopt.recordings.onset import Upright, contacts, uprights
 from transopt.recordings.plausible import HAND_M_S, implausible_grip, implausible_motion, implausible_time
 from transopt.recordings.recording import VOCABULARY, Recording, load_recording
@@ -272,6 +272,15 @@ def _hand_after_contact(recording: Recording, tap: Signal, onset_s: float, setti
     return pulled, hit
 
 
+def _unsteady(came: Approach, smooth: FloatArray, onset_s: float, settings: Recordings) -> str:
+    """Note on a hand that did not come in steadily; empty for one that did, and for impacts of another rig."""
+    x = came.acceleration
+    tap = smooth[x.before(onset_s) : x.until(onset_s + REACTION_S)]
+    if (settings.time_scale, settings.amplitude_scale) != (1.0, 1.0) or not tap.size:
+        return ""
+    return unsteady(came, onset_s, float(np.sqrt(np.mean(tap**2))))
+
+
 def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
     """Find offset, polarity, onset and speed of one recording; scale it by similarity and low-pass it.
 
@@ -325,13 +334,14 @@ def _prepared(
     factor, speed, source = _scaling(incoming, source, settings)
     filtered = Signal((raw.start_s - onset) * stretch, raw.dt_s * stretch, factor * smooth)
     peak = float(np.abs(smooth if np.isnan(factor) else filtered.values).max())
+    coming = _unsteady(came, smooth, onset, settings)
     pulled, hit = _hand_after_contact(recording, filtered, onset, settings)
     clipped = _clipped(raw.values, offset)
     stop = f"{clipped} samples at the end stop: the true peak is higher; use a sensor of larger range" * (clipped > 0)
     if not settings.simulated:
         doubtful = doubtful or implausible_grip(recording.grip_N or 0.0) or f"clipped, {stop}" * (clipped > 0)
     doubts = _doubts(raw, speed, peak, noise if np.isnan(speed) else factor * noise)
-    notes = (*up.notes, *found, *turned, *gripped, *came.notes, pulled, *unsure, stop, hit, *doubts)
+    notes = (*up.notes, *found, *turned, *gripped, *came.notes, coming, pulled, *unsure, stop, hit, *doubts)
     return PreparedTap(
         recording=recording,
         acceleration=filtered,

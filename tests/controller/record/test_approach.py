@@ -1,6 +1,5 @@
 """Taps whose hand did not come in steadily: the simulator's truth, and what is said of them in place of figures."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -12,7 +11,7 @@ from controller.device.device_file import Accelerometer
 from controller.protocol.events import Happened, Samples
 from controller.protocol.messages import Record
 from controller.record import played
-from controller.record.played import not_straight, played_tap
+from controller.record.played import played_tap, why_not_steady
 from controller.record.recorder import Contact, Recorder
 from controller.refine.heard import hear, node_near
 from controller.refine.new_hand import record_of
@@ -21,8 +20,9 @@ from controller.servo.settings import Settings
 from controller.sim.played_tap import run
 from controller.sim.sensors import SEED_SENSORS
 from controller.sim.simulator import Simulator
-from controller.sim.true_device import DEFAULT_DEVICE
+from controller.sim.true_device import DEFAULT_DEVICE, TrueDevice
 from controller.sim.user import User
+from controller.waveforms.prediction import predict
 from tests.benches.compiled import servo_of
 from transopt.library.library import Library
 
@@ -59,7 +59,7 @@ def back_at(leaves_s: float, turns_s: float, height_s: float = 0.1) -> Mover:
     return Mover((0.0, *times, 1.0), (-SPEED_M_S, -SPEED_M_S, 0.1, 0.1, -SPEED_M_S, -SPEED_M_S))
 
 
-def last_contact(library: Library, user: User) -> Contact:
+def last_contact(library: Library, user: User, device: TrueDevice = DEFAULT_DEVICE) -> Contact:
     """The last contact that the device tells of, as it is recorded."""
     servo, recorder = servo_of(library), Recorder(None, 1e-4, SEED_SENSORS.count_m)
     servo.arm()
@@ -81,7 +81,7 @@ def last_contact(library: Library, user: User) -> Contact:
         )
         recorder.take(Samples(r.tick, 1, (record,), 0))
 
-    run(Simulator(DEFAULT_DEVICE, user, 1e-4), servo, round(END_S / 1e-4), observe)
+    run(Simulator(device, user, 1e-4), servo, round(END_S / 1e-4), observe)
     return recorder.contacts[-1]
 
 
@@ -93,6 +93,8 @@ PLAYED: dict[str, tuple[Mover, bool]] = {
         Mover((0.0, 0.15, 0.17, 0.27, 0.29, 1.0), (-0.2, -0.2, 0.3, 0.3, -0.2, -0.2)),
         True,
     ),
+    "turned round 60 ms before": (Mover((0.0, 0.04, 0.06, 1.0), (0.1, 0.1, -0.2, -0.2)), True),
+    "slowed down 30 ms before": (Mover((0.0, 0.07, 0.09, 0.11, 1.0), (-0.2, -0.2, -0.02, -0.2, -0.2)), False),
     "turned round just now": (back_at(0.02, 0.05), False),
     "turned round fast": (back_at(0.02, 0.02), False),
     "begun from rest": (Mover((0.0, 0.07, CONTACT_S, 1.0), (0.0, 0.0, -0.2, -0.2)), False),
@@ -116,28 +118,39 @@ def test_a_rebound_has_a_reason_in_place_of_figures(
         assert tap.compared.playback_error < 0.05
         assert not any(isinstance(each, str) for each in others)
         return
-    assert tap.why.startswith("no straight approach: ")
+    assert tap.why.startswith("no steady approach: ")
     assert others == (tap.why, tap.why)
     # What would be told of it without: the error of a device that plays as it shall is 0.6 %.
-    monkeypatch.setattr(played, "not_straight", lambda contact, settings: "")
+    monkeypatch.setattr(played, "why_not_steady", lambda contact, settings, prediction: "")
     assert played_tap(contact, library, stated, 1.0, ACCELEROMETER).compared.playback_error > 0.2
 
 
-def approach(contact: Contact, count_m: float, height_m: Callable[[np.ndarray], np.ndarray]) -> Contact:
-    """The contact with other heights at times (n,) before it."""
-    return replace(contact, counts=np.round(height_m((contact.ticks - contact.tick) * contact.dt_s) / count_m))
+@pytest.mark.parametrize(("deceleration_m_s2", "force"), [(6.0, 1.0), (0.0, 1.4)], ids=["hand", "device"])
+def test_a_hand_is_told_from_a_device_that_is_off(
+    library: Library, stated: Settings, deceleration_m_s2: float, force: float
+) -> None:
+    """A hand that brakes from contact on came in as it should: the tap has its figures, and says whose they are."""
+    brakes = Mover((0.0, CONTACT_S, CONTACT_S + 0.03, 1.0), (-0.2, -0.2, *[-0.2 + 0.03 * deceleration_m_s2] * 2))
+    pushes = replace(DEFAULT_DEVICE, force_per_current_N_A=force * DEFAULT_DEVICE.force_per_current_N_A)
+    tap = played_tap(last_contact(library, brakes, pushes), library, stated, 1.0, ACCELEROMETER)
+    assert not tap.why
+    assert 0.3 < tap.compared.playback_error < 0.45
+    assert ("as by a hand that brakes" in tap.remark) == (deceleration_m_s2 > 0)
+    assert (tap.compared.by_hand > 0.3) == (deceleration_m_s2 > 0)
 
 
-def test_what_is_straight_is_a_matter_of_speed_alone(library: Library, stated: Settings) -> None:
-    """Slow taps over coarse counts are, and so is what little was recorded; one of unknown speed is not judged."""
-    contact = last_contact(library, STEADY)
-    coarse = replace(stated, count_m=2e-4)
-    for settings in (stated, coarse):
-        for speed in (0.03, 0.1, 0.4):
-            steady = approach(contact, settings.count_m, lambda t, v=speed: -v * t)
-            assert not not_straight(steady, settings), (settings.count_m, speed)
-            turned = approach(contact, settings.count_m, lambda t, v=speed: v * (0.035 - np.abs(t + 0.035)))
-            assert "a rebound, or begun too near: begin higher" in not_straight(turned, settings)
-    late = {name: getattr(contact, name)[450:] for name in ("ticks", "counts", "acceleration_m_s2")}
-    assert not not_straight(replace(contact, **late), stated)
-    assert not not_straight(approach(contact, stated.count_m, np.array), stated)
+def test_coarse_counts_and_few_records_are_no_reason(library: Library, stated: Settings) -> None:
+    contact, prediction = last_contact(library, STEADY), predict(library, SPEED_M_S, 3.0)
+    coarse = replace(contact, counts=np.round(contact.counts * stated.count_m / 2e-4))
+    assert not why_not_steady(coarse, replace(stated, count_m=2e-4), prediction)
+    for first in (450, 595):
+        late = {name: getattr(contact, name)[first:] for name in ("ticks", "counts", "acceleration_m_s2")}
+        assert not why_not_steady(replace(contact, **late), stated, prediction)
+
+
+def test_a_rail_of_an_earlier_contact_hides_nothing_of_the_approach(library: Library, stated: Settings) -> None:
+    contact, prediction = last_contact(library, back_at(0.02, 0.02)), predict(library, SPEED_M_S, 3.0)
+    acceleration = contact.acceleration_m_s2.copy()
+    acceleration[:300] = np.nan
+    railed = replace(contact, acceleration_m_s2=acceleration)
+    assert why_not_steady(railed, stated, prediction).startswith("no steady approach: ")

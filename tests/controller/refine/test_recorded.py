@@ -89,6 +89,15 @@ def test_records_that_hold_too_little(library: Library) -> None:
     assert "record from 20 ms before contact" in str(recorded_tap(short, library, BANDWIDTH_HZ).heard)
 
 
+def test_a_hand_that_did_not_come_in_steadily(library: Library) -> None:
+    """The hand's acceleration grows from nothing at the beginning of the record to 5 m/s^2 at contact."""
+    tap = recording(library)
+    x = tap.acceleration
+    turned = x.with_values(x.values + np.linspace(0.0, 10.0, x.values.size))
+    said = recorded_tap(replace(tap, acceleration=turned), library, BANDWIDTH_HZ).heard
+    assert str(said).startswith("no steady approach: ")
+
+
 class TestCommand:
     """A device of its own is the simulated one here, which records its taps as files."""
 

@@ -179,3 +179,25 @@ class TestSteady:
         tap = prepare(coming(pushed(-0.055, -0.025, -8.0)), Recordings(files=["unused"]))
         assert tap.offset_m_s2 == pytest.approx(9.81, abs=0.2)
         assert (tap.incoming_acceleration_m_s2, tap.notes) == (0.0, ())
+
+    @pytest.mark.parametrize(
+        ("hand", "by_position", "alone"),
+        [
+            (lambda t: 0.0 * t, True, True),
+            (lambda t: np.full(t.size, -2.0), True, True),
+            (lambda t: 0.05 * np.sin(2 * np.pi * 10 * t), True, True),
+            (lambda t: np.full(t.size, -6.0), False, True),
+            (pushed(-0.045, -0.005, -15.0), False, False),
+        ],
+        ids=["steady", "faster and faster", "tremor", "much faster", "turned round"],
+    )
+    def test_a_hand_that_does_not_come_in_steadily_is_named(
+        self, hand: Callable[[FloatArray], FloatArray], by_position: bool, alone: bool
+    ) -> None:
+        """An accelerometer alone sees changes only. Impacts of another rig have no hand."""
+        recording, settings = coming(hand), Recordings(files=["unused"])
+        for one, steady in ((recording, by_position), (replace(recording, position=None), alone)):
+            notes = prepare(replace(one, speed_m_s=0.3), settings).notes
+            assert any("no steady approach: " in note for note in notes) != steady
+        scaled = settings.model_copy(update={"amplitude_scale": 0.5})
+        assert "no steady approach" not in "; ".join(prepare(recording, scaled).notes)

@@ -17,12 +17,12 @@ import numpy as np
 from pydantic import ValidationError
 from scipy import signal
 
-from transopt.base.signals import FloatArray
+from transopt.base.signals import REACTION_S, FloatArray
 from transopt.identify.device.chain import HAND, Coordinates, log_slopes
 from transopt.identify.device.response import ACCELERATION, Instrument, Slope, courses
 from transopt.identify.fit import Fit, intervals_around, known, quantile
 from transopt.identify.hand.lines import LOUDER, MOST_UNEXPLAINED, HandFit
-from transopt.identify.hand.tap import LOWPASS_HZ, REACTION_S, HandTap
+from transopt.identify.hand.tap import LOWPASS_HZ, HandTap
 from transopt.identify.measurement import Measurement
 from transopt.identify.squares import Found, Squares, inverse
 from transopt.plant.hand import LinearInGrip

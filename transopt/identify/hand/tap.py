@@ -21,12 +21,12 @@ import numpy as np
 from scipy import integrate, optimize, signal, stats
 
 from transopt.base.errors import InputError
-from transopt.base.signals import FloatArray, stops
+from transopt.base.signals import REACTION_S, FloatArray, stops
 from transopt.identify.checks import UNITS, check_unit
 from transopt.identify.findings import JITTER_LIMIT
 from transopt.identify.measurement import Measurement
+from transopt.recordings.approach import not_steady
 
-REACTION_S = 30e-3  # the hand's intention goes straight on for this long
 LOWPASS_HZ = 500.0
 _BASELINE_S = 5e-3  # least record before contact
 _GUARD_S = 0.5e-3  # before the force is seen to rise
@@ -242,7 +242,7 @@ def tap_of(trial: Measurement, window_s: float = REACTION_S) -> HandTap:
         _check_signs_and_units(trial, tap)
     except InputError as error:
         raise InputError(f"{trial.name}: {error}") from None
-    return replace(tap, note="; ".join(filter(None, [trial.missing, tap.note])))
+    return replace(tap, note="; ".join(filter(None, [trial.missing, tap.note, _unsteady(trial, tap)])))
 
 
 def usable_taps(trials: Sequence[Measurement], window_s: float = REACTION_S) -> tuple[list[HandTap], list[str]]:
@@ -262,6 +262,17 @@ def usable_taps(trials: Sequence[Measurement], window_s: float = REACTION_S) -> 
         more = f" (and {len(complaints) - 1} more of {len(trials)} trials)" if len(complaints) > 1 else ""
         raise InputError(f"{complaints[0]}{more}")
     return taps, complaints
+
+
+def _unsteady(trial: Measurement, tap: HandTap) -> str:
+    """Warning that the hand did not come in steadily: the fit takes its own motion for that of mass and springs."""
+    acceleration = trial.require("acceleration")
+    contact = onset(trial.require("force").values, acceleration.dt_s)
+    if contact < _BASELINE_S / acceleration.dt_s:
+        return ""
+    x = acceleration.with_values(acceleration.values - acceleration.values[:contact].mean())
+    size_m_s2 = float(np.sqrt(np.mean(tap.acceleration_m_s2**2)))
+    return not_steady(x, trial.position, x.start_s + x.dt_s * contact, size_m_s2)
 
 
 def _check_recording(trial: Measurement) -> None:

@@ -326,6 +326,15 @@ TRUTH = np.array([value for line in LINES for value in (line.constant, line.per_
 BATCH = 5  # experiments simulated at once
 
 
+def test_a_hand_that_did_not_come_in_steadily_is_named(trials: Trials) -> None:
+    """It has sped up by 8 m/s^2 more at contact than 10 ms before, and goes on so."""
+    tap = measurement(trials)
+    x = tap.require("acceleration")
+    hurried = x.with_values(x.values + 800 * (x.times_s - x.times_s[0]))
+    assert "no steady approach: " in tap_of(replace(tap, acceleration=hurried, position=None)).note
+    assert tap_of(tap).note == ""
+
+
 def experiments(repeats: int, seed: int) -> tuple[FloatArray, FloatArray]:
     """Coefficients (R, 6) and their 95 % intervals (R, 6, 2), each of 81 simulated taps of scattering hands."""
     random, found, intervals = np.random.default_rng([seed, 2]), [], []
