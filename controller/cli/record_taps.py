@@ -111,7 +111,7 @@ class TapFiles:
         self._places = list(product(enumerate(speeds), enumerate(grips), range(wanted.repeats)))
         self._written: list[str] = []
         self._silent: dict[str, float] = {}  # name of a tap that was not heard -> its largest deviation, in m/s^2
-        self._at_rail: dict[str, str] = {}  # name of a tap beyond the accelerometer's range -> the reason
+        self._spoilt: dict[str, str] = {}  # name of a tap without a file -> the reason
         range_g = wanted.wrong.sensors.accelerometer_range_g
         self._accelerometer = wanted.device.accelerometer.model_copy(update={"range_g": range_g})
 
@@ -153,8 +153,9 @@ class TapFiles:
                 continue
             contact = heard[0]
             times_s = (contact.ticks - contact.tick) * contact.dt_s
-            if why := why_at_rail(times_s, contact.acceleration_m_s2, self._accelerometer, library):
-                self._at_rail[name] = why
+            at_rail = why_at_rail(times_s, contact.acceleration_m_s2, self._accelerometer, library)
+            if why := contact.spoilt or at_rail:
+                self._spoilt[name] = why
                 continue
             columns, scalars = measured(contact, settings, self._wrong.sensors.accelerometer_bandwidth_Hz)
             write_measurement(self._out / name, {**columns, **more(tap, contact)}, scalars)
@@ -174,9 +175,9 @@ class TapFiles:
             softest = f", the softest of which reached {softest_g:.2g} g{remedy}" if softest_g > 0 else ""
             typer.echo(f"{nothing} in {', '.join(self._silent)}{softest}", err=True)
             raise typer.Exit(1)
-        if self._at_rail:
-            name, why = next(iter(self._at_rail.items()))
-            typer.echo(f"{len(self._at_rail)} of {len(self._places)} taps have no file, {name}: {why}", err=True)
+        if self._spoilt:
+            name, why = next(iter(self._spoilt.items()))
+            typer.echo(f"{len(self._spoilt)} of {len(self._places)} taps have no file, {name}: {why}", err=True)
             raise typer.Exit(1)
         files = f"{self._out}: {len(self._written)} taps, {self._written[0]} to {self._written[-1]}"
         terminal.console().print(f"{files}\nnext: {following}" if following else files)

@@ -228,10 +228,9 @@ class Taps:
         """Say what a tap counts for and what is left to be tapped."""
         node = node_near(library, contact.speed_m_s, contact.grip_N)
         at = f"tap {contact.number}: {contact.speed_m_s:.3f} m/s, {contact.grip_N:.2f} N"
-        if node not in nodes or contact.missed:
+        if node not in nodes or contact.spoilt:
             why = "near to no node" if node is None else f"{place(library, node)} is not asked for in this round"
-            why = f"{contact.missed} records were lost" if contact.missed else why
-            self._say(f"{at}: {why}, does not count")
+            self._say(f"{at}: {contact.spoilt or why}, does not count")
             return
         assert node is not None
         if node in missing:

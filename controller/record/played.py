@@ -202,8 +202,8 @@ def since_contact(
     last_s : time to which it must be recorded, from the prediction's first on; the largest shift of the alignment is
         added on both sides.
     """
-    if contact.missed:
-        return f"{contact.missed} records were lost"
+    if contact.spoilt:
+        return contact.spoilt
     times = (contact.ticks - contact.tick) * contact.dt_s
     step = float(times[1] - times[0]) if times.size > 1 else float("nan")
     if not step <= 1.5 * contact.dt_s:

@@ -20,6 +20,7 @@ import numpy as np
 
 from controller.device.device_file import Accelerometer
 from controller.device.rail import why_at_rail
+from controller.protocol.codes import LinkNotice
 from controller.protocol.events import Happened, News, Samples, column
 from controller.protocol.messages import Record
 from controller.record.telemetry import CSV_NAME, NPZ_NAME, Lines, Telemetry
@@ -49,7 +50,8 @@ class Contact:
     counts : encoder counts.
     current_A : measured current.
     winding_C : the device's estimate.
-    missed : number of records lost in between; if > 0, no file is written.
+    missed : number of records lost in between.
+    cut : what ended its waveform too soon, as its message; empty if nothing did.
     path : path of its file; None without one.
     surface_counts : counts of the surface at the time; None for those of the settings.
     scale, cooled : the transient as scaled for the coil's heat: scale times a blend with a share `cooled` of the cool
@@ -73,6 +75,12 @@ class Contact:
     surface_counts: float | None = None
     scale: float = 1.0
     cooled: float = 0.0
+    cut: str = ""
+
+    @property
+    def spoilt(self) -> str:
+        """Reason why neither its figures nor a file of it count; empty if they do."""
+        return f"{self.missed} records were lost" if self.missed else f"cut short: {self.cut}" if self.cut else ""
 
 
 class Recorder:
@@ -126,6 +134,8 @@ class Recorder:
         self._kept: deque[tuple[int, Record]] = deque(maxlen=2 * (self._before + self._after))
         self._open: list[Happened] = []
         self._heat: dict[int, tuple[float, float]] = {}  # tick -> scale and cooled, for open contacts
+        self._playing: int | None = None  # tick of the contact whose waveform plays
+        self._cut: dict[int, str] = {}  # tick -> what cut the waveform, for open contacts
         self._happened: dict[int, list[str]] = {}  # tick -> names of events whose record has not come yet
         self._telemetry: Telemetry | None = None
         self._events: Lines | None = None
@@ -138,8 +148,8 @@ class Recorder:
         if not self._begun:
             return ""
         files = [contact.path.name for contact in self.contacts if contact.path is not None]
-        lost = len(self.contacts) - len(files) - len(self.at_rail)
-        gaps = f" ({lost} taps with records lost have no file of their own)" if lost else ""
+        spoilt = len(self.contacts) - len(files) - len(self.at_rail)
+        gaps = f" ({spoilt} taps, cut short or with records lost, have no file of their own)" if spoilt else ""
         return f"; {self._folder}: {', '.join([CSV_NAME, NPZ_NAME, EVENTS_NAME, *files])}, all whole{gaps}"
 
     def take(self, news: News) -> None:
@@ -220,8 +230,13 @@ class Recorder:
                 self._happened.setdefault(event.tick, []).append(event.what.name.lower())
         if event.what is Notice.CONTACT and self._trigger_m_s2 is None:
             self._open.append(event)
+            self._playing = event.tick
         elif event.what is Notice.SCALED_FOR_HEAT:
             self._heat[event.tick] = event.scale, event.cooled
+        elif event.what is Notice.FINISHED:
+            self._playing = None
+        elif self._playing is not None and (isinstance(event.what, Fault) or event.what is LinkNotice.LEASE_LOST):
+            self._cut[self._playing], self._playing = event.what.value, None
 
     def _feel(self, tick: int, record: Record, every: int, trigger_m_s2: float) -> None:
         a = record.acceleration_m_s2
@@ -245,11 +260,11 @@ class Recorder:
         rows = [(tick, record) for tick, record in self._kept if low <= tick <= high]
         ticks, records = np.array([tick for tick, _ in rows], dtype=float), [record for _, record in rows]
         missed = (high - max(low, self._first)) // self._every + 1 - len(rows)
-        scale, cooled = self._heat.pop(event.tick, (1.0, 0.0))
+        (scale, cooled), cut = self._heat.pop(event.tick, (1.0, 0.0)), self._cut.pop(event.tick, "")
         before_N = column(records, "grip_N")[ticks < event.tick]
         number, acceleration = len(self.contacts) + 1, column(records, "acceleration_m_s2")
         why = ""
-        if self._accelerometer is not None and not missed:
+        if self._accelerometer is not None and not (missed or cut):
             why = why_at_rail((ticks - event.tick) * self._dt_s, acceleration, self._accelerometer)
         if why:
             self.at_rail[number] = why
@@ -267,10 +282,11 @@ class Recorder:
             feedback_A=column(records, "feedback_A"),
             winding_C=column(records, "winding_C"),
             missed=missed,
-            path=None if missed or why or self._folder is None else self._folder / f"tap_{number:03d}.csv",
+            path=None if missed or cut or why or self._folder is None else self._folder / f"tap_{number:03d}.csv",
             surface_counts=self.surface_counts,
             scale=scale,
             cooled=cooled,
+            cut=cut,
         )
         self.contacts.append(contact)
         if contact.path is not None:

@@ -109,8 +109,8 @@ def record_of(
     accelerometer : as the device file describes it.
     """
     intention_s = library.scene().hand.intention_s
-    if contact.missed:
-        return f"{contact.missed} records were lost"
+    if contact.spoilt:
+        return contact.spoilt
     met_s = met_surface(contact, settings)[0]
     times = (contact.ticks - contact.tick) * contact.dt_s
     if not np.any(contact.command_A):

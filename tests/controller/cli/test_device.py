@@ -256,6 +256,19 @@ def test_a_lost_lease_ends_the_run_and_nothing_is_armed_again(play: Run, ready: 
     assert next(count) < 2100
 
 
+def test_a_tap_that_a_fault_cut_is_named_and_not_compared(play: Run, ready: Desk) -> None:
+    def tapped() -> None:
+        ready.asked("tap")
+        when(ready, State.PLAYING, lambda: ready.asked("press"))
+
+    when(ready, State.ARMED, tapped)
+    outcome = play("tap", "library.npz", *PORT, "--out", "out")
+    assert outcome.code == 1
+    assert "cut short: emergency stop: release it" in " ".join(outcome.out.split())
+    assert "tap error" not in outcome.out
+    assert not list(Path("out").glob("tap_*.csv"))
+
+
 def test_a_fault_ends_the_run_and_the_next_one_asks_for_its_reset(play: Run, ready: Desk) -> None:
     when(ready, State.ARMED, lambda: ready.asked("press"))
     outcome = play("tap", "library.npz", *PORT)

@@ -130,7 +130,26 @@ def test_lost_records_leave_no_file_and_are_told(tmp_path: Path) -> None:
         assert recorder.contacts[0].missed == 20
         assert recorder.missed == 20
     assert not list((tmp_path / "out").glob("tap_*"))
-    assert "(1 taps with records lost have no file of their own)" in recorder.in_words()
+    assert "(1 taps, cut short or with records lost, have no file of their own)" in recorder.in_words()
+
+
+@pytest.mark.parametrize("what", [Fault.EMERGENCY_STOP, LinkNotice.LEASE_LOST])
+@pytest.mark.parametrize("finished", [False, True])
+def test_a_tap_that_a_fault_cut_counts_no_more(
+    tmp_path: Path, library: Library, stated: Settings, what: Fault | LinkNotice, finished: bool
+) -> None:
+    with Recorder(tmp_path / "out", DT_S, COUNT_M) as recorder:
+        recorder.take(contact())
+        if finished:
+            recorder.take(Happened(2, CONTACT_TICK + 800, Notice.FINISHED, np.nan, np.nan, 0))
+        recorder.take(Happened(3, CONTACT_TICK + 900, what, np.nan, np.nan, 0))
+        fed(recorder, CONTACT_TICK + 1010)
+        recorder.take(contact(2 * CONTACT_TICK))
+        recorder.take(samples(CONTACT_TICK + 1010, 2 * CONTACT_TICK + 1010))
+    why = played_tap(recorder.contacts[0], library, stated, 1.0, ACCELEROMETER).why
+    assert (why == f"cut short: {what.value}") != finished
+    assert (recorder.contacts[0].path is None) != finished
+    assert recorder.contacts[1].path is not None
 
 
 def test_a_contact_of_which_nothing_came_has_no_file(tmp_path: Path) -> None:
