@@ -6,7 +6,7 @@ the accelerometer's pole. Both are low-passed like recordings, and compared unti
 motion afterwards is not predictable.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,16 +19,18 @@ from controller.servo.settings import Settings
 from controller.waveforms.prediction import Prediction, predict
 from transopt.base.filters import lowpass
 from transopt.base.recursions import filtered
-from transopt.base.signals import FloatArray, Signal, nrmse
+from transopt.base.signals import REACTION_S, FloatArray, Signal, integral, nrmse
 from transopt.library.library import Library
 from transopt.plant.intention import INTENTION_S
 from transopt.problem.answer import verdict
 from transopt.problem.objective.bands import Levels, levels
 from transopt.problem.objective.figures import Figures, felt
-from transopt.recordings.approach import MOST_OWN, not_steady
+from transopt.recordings.approach import MOST_OWN, separated, unsteady
 
 FIT_S = 0.03  # part of the approach that the parabola is fitted to
 LEAST_FIT = 10  # least records for the fit
+LEAST_COUNTS = 20.0  # least way by which encoder and accelerometer are compared: one count is 5 % of it
+SCALE_OFF = 0.1  # relative difference of the two that is told; that of sound ones is within 0.05
 REST_S = 0.02  # time before the waveform in which the accelerometer reads gravity and offset only
 HAND_PART = 0.8  # least energy of the line in the difference: hands have 0.89 and more, wrong devices at most 0.45
 CUTOFF_HZ = 1000.0  # low-pass, as for recordings
@@ -46,6 +48,7 @@ class Compared:
     tap_error : error against the recorded tap. felt_error : the same in the band in which vibration is felt.
     playback_error : error against the prediction.
     scale : least squares factor of the prediction to the played tap.
+    encoder : see `encoder_ratio`.
     by_hand : the same error of a straight line alone, if that is most of the difference; else 0. A hand can do no
         more within this time, and a device that is off differs in the pulse.
     speed : change of speed, played over recorded.
@@ -65,6 +68,7 @@ class Compared:
     levels: Levels | None
     scale: float = float("nan")
     felt_error: float = float("nan")
+    encoder: float = float("nan")
     by_hand: float = 0.0
 
 
@@ -110,7 +114,10 @@ class PlayedTap:
         heat += [f"scaled by {self.contact.scale:.2f} for the coil"] if self.contact.scale < 1 else []
         part = self.compared.by_hand
         hand = f"off by {100 * part:.0f} % as by a hand that brakes or speeds up at contact, or not the library's"
-        return self.why or ", ".join([*heat, *[hand] * (part > MOST_OWN)])
+        ratio = self.compared.encoder
+        scale = f"{ratio:.2f} times the motion by the encoder: `check` tells if its scale, and so the speed, is off"
+        said = [*heat, *[hand] * (part > MOST_OWN), *[scale] * (abs(ratio - 1) > SCALE_OFF)]
+        return self.why or ", ".join(said)
 
     @property
     def verdict(self) -> str:
@@ -151,19 +158,49 @@ def met_surface(contact: Contact, settings: Settings) -> tuple[float, float]:
     return (float(lead - (a + b * lead + c * lead**2) / slope), float(-slope)) if slope < 0 else (NOTHING, NOTHING)
 
 
+def known_motion(contact: Contact, settings: Settings) -> tuple[Signal, Signal] | None:
+    """Acceleration less the reading at rest, and height, over the times after `contact.tick`; None if too short.
+
+    Another contact before or after this one may have reached the accelerometer's rail: that part is left out.
+    """
+    times = (contact.ticks - contact.tick) * contact.dt_s
+    none = np.flatnonzero(~np.isfinite(contact.acceleration_m_s2))
+    first, end = max(none[times[none] < 0] + 1, default=0), min(none[times[none] >= 0], default=times.size)
+    if np.count_nonzero(times[first:end] < 0) < LEAST_FIT:
+        return None
+    start_s, step = float(times[first]), float(times[1] - times[0])
+    acceleration = Signal(start_s, step, contact.acceleration_m_s2[first:end] - resting_m_s2(contact))
+    return acceleration, Signal(start_s, step, height_m(contact, settings)[first:end])
+
+
 def why_not_steady(contact: Contact, settings: Settings, prediction: Prediction) -> str:
     """Reason why the hand did not come in as the prediction assumes; empty if it did."""
-    times, acceleration = (contact.ticks - contact.tick) * contact.dt_s, contact.acceleration_m_s2
-    # Another contact before this one may have reached the accelerometer's rail.
-    first = int(np.flatnonzero(~np.isfinite(acceleration) & (times < 0)).max(initial=-1)) + 1
-    before = slice(first, int(np.count_nonzero(times < 0)))
-    if before.stop - first < LEAST_FIT:
-        return ""
-    x, position = (
-        Signal(float(times[first]), float(times[1] - times[0]), values[before])
-        for values in (acceleration - resting_m_s2(contact), height_m(contact, settings))
-    )
-    return not_steady(x, position, 0.0, prediction.rms_m_s2)
+    known = known_motion(contact, settings)
+    return "" if known is None else unsteady(separated(*known, 0.0), 0.0, prediction.recorded_rms_m_s2)
+
+
+def encoder_ratio(contact: Contact, settings: Settings, bandwidth_Hz: float) -> float:
+    """Motion by the encoder over that by the accelerometer; NaN if too little of it is known.
+
+    Compared is how far the stylus is off the straight way of the last 30 ms before contact when the hand can react.
+
+    Parameters
+    ----------
+    bandwidth_Hz : bandwidth of the accelerometer, whose pole is compensated.
+    """
+    known = known_motion(contact, settings)
+    if known is None or known[0].end_s < REACTION_S:
+        return NOTHING
+    x, height = separated(*known, 0.0).acceleration, known[1]
+    before, last = slice(x.before(-FIT_S), x.before(0.0)), x.until(REACTION_S) - 1
+
+    def left_m(way_m: FloatArray) -> float:
+        straight = np.polynomial.Polynomial.fit(x.times_s[before], way_m[before], 1)
+        return float(way_m[last] - straight(x.times_s[last]))
+
+    felt = before_pole(x.values, x.dt_s, bandwidth_Hz)
+    by_accelerometer = left_m(integral(integral(felt, x.dt_s), x.dt_s))
+    return left_m(height.values) / by_accelerometer if by_accelerometer > LEAST_COUNTS * settings.count_m else NOTHING
 
 
 def through_pole(values: FloatArray, dt_s: float, bandwidth_Hz: float) -> FloatArray:
@@ -217,11 +254,10 @@ def since_contact(
         return why
     if why := why_not_steady(contact, settings, prediction):
         return why
-    # Another contact before or after this one may have reached the rail.
-    none = np.flatnonzero(~np.isfinite(acceleration))
-    begin = max(none[times[none] < first_s] + 1, default=0)
-    end = min(none[times[none] > last_s], default=times.size)
-    return Signal(float(times[begin]), step, acceleration[begin:end] - resting_m_s2(contact))
+    known = known_motion(contact, settings)
+    if known is None:
+        return "not all of it was recorded"
+    return replace(known[0], start_s=known[0].start_s - met_surface(contact, settings)[0])
 
 
 def resting_m_s2(contact: Contact) -> float:
@@ -317,5 +353,6 @@ def _compare(
         levels=levels(aligned.played_m_s2, reference, contact.dt_s),
         scale=float(aligned.played_m_s2 @ expected / (expected @ expected)),
         felt_error=nrmse(*heard),
+        encoder=encoder_ratio(contact, settings, accelerometer.bandwidth_Hz),
         by_hand=nrmse(expected + slow, expected) if slow @ slow > HAND_PART * (difference @ difference) else 0.0,
     )

@@ -16,7 +16,7 @@ from controller.waveforms.prediction import Prediction, predict
 from transopt.base.signals import FloatArray, Signal
 from transopt.library.library import Library
 from transopt.plant.intention import INTENTION_S
-from transopt.recordings.approach import not_steady
+from transopt.recordings.approach import separated, unsteady
 from transopt.recordings.recording import Recording
 from transopt.recordings.speed import seen_speed
 
@@ -81,7 +81,8 @@ def _hear(
     seen = seen_speed(recording, begin)
     # A position of the other sign, or of something else, does not fall before contact.
     position = recording.position if seen is not None and seen[0] > 0 else None
-    if why := not_steady(x, position, begin + float(times[0]), prediction.rms_m_s2):
+    onset_s = begin + float(times[0])
+    if why := unsteady(separated(x, position, onset_s), onset_s, prediction.recorded_rms_m_s2):
         return why
     measured = Signal(x.start_s - begin, x.dt_s, x.values)
     current = recording.current

@@ -52,9 +52,9 @@ class Prediction:
         return self.acceleration_m_s2 + self.own_m_s2
 
     @property
-    def rms_m_s2(self) -> float:
-        """Rms of the predicted acceleration of the stylus until the hand can react."""
-        return float(np.sqrt(np.mean(self.whole_m_s2[self.times_s <= INTENTION_S] ** 2)))
+    def recorded_rms_m_s2(self) -> float:
+        """Rms of the recorded tap at full gain until the hand can react."""
+        return float(np.sqrt(np.mean((self.reference_m_s2 + self.own_m_s2)[self.times_s <= INTENTION_S] ** 2)))
 
     @property
     def recorded_m_s2(self) -> FloatArray:

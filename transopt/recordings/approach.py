@@ -100,10 +100,10 @@ def find_approach(
     return Approach(x.with_values(x.values + missing), missing, incoming if abs(incoming) > least else 0.0, source)
 
 
-def not_steady(x: Signal, position: Signal | None, onset_s: float, tap_m_s2: float) -> str:
-    """`unsteady` for a sensor that reads down to 0 Hz: its acceleration less a baseline, and a position if known."""
+def separated(x: Signal, position: Signal | None, onset_s: float) -> Approach:
+    """`find_approach` for a sensor that reads down to 0 Hz, from its acceleration less a baseline."""
     (noise,) = white_noises(x.values[None])
-    return unsteady(find_approach(x, position, onset_s, noise, 0.0, stated=False), onset_s, tap_m_s2)
+    return find_approach(x, position, onset_s, noise, 0.0, stated=False)
 
 
 def unsteady(came: Approach, onset_s: float, tap_m_s2: float) -> str:

@@ -11,7 +11,7 @@ from controller.device.device_file import Accelerometer
 from controller.protocol.events import Happened, Samples
 from controller.protocol.messages import Record
 from controller.record import played
-from controller.record.played import played_tap, why_not_steady
+from controller.record.played import encoder_ratio, played_tap, why_not_steady
 from controller.record.recorder import Contact, Recorder
 from controller.refine.heard import hear, node_near
 from controller.refine.new_hand import record_of
@@ -59,7 +59,17 @@ def back_at(leaves_s: float, turns_s: float, height_s: float = 0.1) -> Mover:
     return Mover((0.0, *times, 1.0), (-SPEED_M_S, -SPEED_M_S, 0.1, 0.1, -SPEED_M_S, -SPEED_M_S))
 
 
-def last_contact(library: Library, user: User, device: TrueDevice = DEFAULT_DEVICE) -> Contact:
+class Misread(Simulator):
+    """A device whose encoder counts so many times what it should."""
+
+    times = 1.0
+
+    def readings(self) -> Readings:
+        r = super().readings()
+        return replace(r, encoder_counts=round(self.times * r.encoder_counts))
+
+
+def last_contact(library: Library, user: User, device: TrueDevice = DEFAULT_DEVICE, encoder: float = 1.0) -> Contact:
     """The last contact that the device tells of, as it is recorded."""
     servo, recorder = servo_of(library), Recorder(None, 1e-4, SEED_SENSORS.count_m)
     servo.arm()
@@ -81,7 +91,9 @@ def last_contact(library: Library, user: User, device: TrueDevice = DEFAULT_DEVI
         )
         recorder.take(Samples(r.tick, 1, (record,), 0))
 
-    run(Simulator(device, user, 1e-4), servo, round(END_S / 1e-4), observe)
+    plant = Misread(device, user, 1e-4)
+    plant.times = encoder
+    run(plant, servo, round(END_S / 1e-4), observe)
     return recorder.contacts[-1]
 
 
@@ -137,6 +149,22 @@ def test_a_hand_is_told_from_a_device_that_is_off(
     assert 0.3 < tap.compared.playback_error < 0.45
     assert ("as by a hand that brakes" in tap.remark) == (deceleration_m_s2 > 0)
     assert (tap.compared.by_hand > 0.3) == (deceleration_m_s2 > 0)
+
+
+@pytest.mark.parametrize("encoder", [1.2, 1.0, 0.8])
+def test_a_scale_that_is_off_is_told_where_all_else_agrees(
+    library: Library, stated: Settings, encoder: float
+) -> None:
+    """The tap of another speed is played, as predicted."""
+    contact = last_contact(library, STEADY, encoder=encoder)
+    tap = played_tap(contact, library, stated, 1.0, ACCELEROMETER)
+    assert contact.speed_m_s == pytest.approx(encoder * SPEED_M_S, rel=0.02)
+    assert tap.compared.playback_error < 0.02
+    assert tap.compared.encoder == pytest.approx(encoder, rel=0.03)
+    assert ("times the motion by the encoder" in tap.remark) == (encoder != 1.0)
+    # Half a count is too much of the way where counts are coarse.
+    coarse = replace(contact, counts=np.round(contact.counts * stated.count_m / 4e-4))
+    assert np.isnan(encoder_ratio(coarse, replace(stated, count_m=4e-4), ACCELEROMETER.bandwidth_Hz))
 
 
 def test_coarse_counts_and_few_records_are_no_reason(library: Library, stated: Settings) -> None:

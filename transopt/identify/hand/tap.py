@@ -25,7 +25,7 @@ from transopt.base.signals import REACTION_S, FloatArray, stops
 from transopt.identify.checks import UNITS, check_unit
 from transopt.identify.findings import JITTER_LIMIT
 from transopt.identify.measurement import Measurement
-from transopt.recordings.approach import not_steady
+from transopt.recordings.approach import separated, unsteady
 
 LOWPASS_HZ = 500.0
 _BASELINE_S = 5e-3  # least record before contact
@@ -271,8 +271,8 @@ def _unsteady(trial: Measurement, tap: HandTap) -> str:
     if contact < _BASELINE_S / acceleration.dt_s:
         return ""
     x = acceleration.with_values(acceleration.values - acceleration.values[:contact].mean())
-    size_m_s2 = float(np.sqrt(np.mean(tap.acceleration_m_s2**2)))
-    return not_steady(x, trial.position, x.start_s + x.dt_s * contact, size_m_s2)
+    onset_s, size_m_s2 = x.start_s + x.dt_s * contact, float(np.sqrt(np.mean(tap.acceleration_m_s2**2)))
+    return unsteady(separated(x, trial.position, onset_s), onset_s, size_m_s2)
 
 
 def _check_recording(trial: Measurement) -> None:
