@@ -237,8 +237,7 @@ def build_library(
             progress(len(column))
             for i, entry in zip(part, column, strict=True):
                 entries[i].append(entry)
-    if not scene.nonlinear:
-        entries = with_remedies(context, entries, options)
+    entries = with_remedies(context, entries, options)
     cool = _cool(context, entries, options)
     admitted = all(entry.admitted for row in (*entries, *cool) for entry in row)
     return Build(

@@ -12,11 +12,11 @@ from itertools import islice
 import numpy as np
 
 from transopt.base.signals import FloatArray
-from transopt.problem.answer import Multipliers, Status
+from transopt.problem.answer import Status
 from transopt.problem.limits.limit import Limit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify
-from transopt.proof.effect import Box, boxes
+from transopt.proof.effect import Box, Effect, farthest_out
 from transopt.solvers import unlimited
 from transopt.solvers.choose import capable, solve
 from transopt.solvers.feasibility import Widening, alone, can_widen, least_widening
@@ -26,7 +26,6 @@ WIDEST = 64.0  # largest factor by which one limit is widened; more would not be
 MOST_ITERATIONS = 100
 MOST_SOLVERS = 2  # number of solvers tried on the question whether a limit can be met
 PRECISION = 0.005  # relative accuracy to which bisection finds a limit's least width
-ALIKE = 1e-6  # an excess less than the largest by this share is as large: the first instant of these is named
 
 
 @dataclass(frozen=True)
@@ -116,7 +115,8 @@ def infeasibility(problem: TransientProblem, options: SolverOptions) -> list[str
         found = [_sentence(problem, limit, least.command) for limit, least in each if least is not None]
         if found:
             return found
-        missed = [limit for limit in linear if _worst(problem, limit, together.command)[1] > 0]
+        there = Effect(problem, together.command)
+        missed = [limit for limit in linear if farthest_out(there, limit).most > 0]
         return [f"{_sentence(problem, limit, together.command)}, all limits wider at once" for limit in missed]
     for limit in problem.limits:
         if not limit.linear and (least := _least_widening(problem, [limit], options)) is not None:
@@ -132,12 +132,11 @@ def _proven(problem: TransientProblem, linear: Sequence[Limit], options: SolverO
     if solve(problem, options).status is not Status.INFEASIBLE:
         return []
     free = unlimited.solve([problem])[0].command
-    motion = problem.stage.motion(free)
-    values = boxes(problem, free, motion, Multipliers.zero(problem))
-    worst = [max((box for box in values if box.limit.name == limit.name), key=_most) for limit in linear]
-    passed = [box for box in worst if not _most(box) <= 0]
+    there = Effect(problem, free)
+    worst = [farthest_out(there, limit) for limit in linear]
+    passed = [box for box in worst if not box.most <= 0]
     taken = " and ".join(
-        f"a {box.limit.label} of {_bound(box, by=_most(box), digits=3)}, limit {_bound(box)}" for box in passed
+        f"a {box.limit.label} of {_bound(box, by=box.most, digits=3)}, limit {_bound(box)}" for box in passed
     )
     names = ", ".join(box.limit.label for box in passed or worst)
     without = f": without limits the optimum takes {taken}" if passed else ""
@@ -180,34 +179,10 @@ def _alone(problem: TransientProblem, limit: Limit, together: Widening, options:
     return _least_widening(problem, [limit], options)
 
 
-def _worst(problem: TransientProblem, limit: Limit, command: FloatArray) -> tuple[Box, float]:
-    """The row of a limit with the largest violation by a command, and that violation; negative inside the limit."""
-    motion = problem.stage.motion(command)
-    of = [box for box in boxes(problem, command, motion, Multipliers.zero(problem)) if box.limit.name == limit.name]
-    worst = max(of, key=_most)
-    return worst, _most(worst)
-
-
 def _sentence(problem: TransientProblem, limit: Limit, command: FloatArray) -> str:
-    worst, by = _worst(problem, limit, command)
-    time_ms = problem.grid.switching_times_s[int(np.argmax(worst.excess >= (1 - ALIKE) * by))] * 1e3
-    return (
-        f"{limit.label} {limit.key_scale * by:.3g} {limit.key_unit(step=True)} over its limit {_bound(worst)} at "
-        f"{time_ms:.1f} ms at the least"
-    )
-
-
-def _most(box: Box) -> float:
-    """Largest violation of a row's bounds, negative where they hold."""
-    return float(box.excess.max())
-
-
-def _below(box: Box) -> bool:
-    """Whether the row is farthest out at its lower bound."""
-    at = int(np.argmax(box.excess))
-    return bool(box.lower[at] - box.value[at] > box.value[at] - box.upper[at])
+    return f"{farthest_out(Effect(problem, command), limit).missed(problem.grid)} at the least"
 
 
 def _bound(box: Box, by: float = 0.0, digits: int = 8) -> str:
     """The bound at which a row is farthest out, raised by so much, with its unit, as its scene key states it."""
-    return f"{box.limit.written(by, lower=_below(box)):.{digits}g} {box.limit.key_unit()}"
+    return f"{box.limit.written(by, lower=box.below):.{digits}g} {box.limit.key_unit()}"

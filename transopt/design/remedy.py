@@ -251,7 +251,7 @@ def remedies(entry: Adjustable, refused: Entry, options: SolverOptions, work: Wo
     problem, played, status = refused.problem, refused.played, refused.status
     search = _Search(entry, refused, options, _excess(problem, played, status), work or Work())
     tried: list[Remedy] = []
-    for ways in _ways(entry, problem, status, played):
+    for ways in _ways(entry, refused):
         search.begin(ways)
         found = search.tried([way for way in ways if search.strengths(way)])
         solved = [remedy for remedy in found if remedy.solved]
@@ -272,11 +272,18 @@ def _excess(problem: TransientProblem, played: Replay, status: Status) -> float:
     return OVER * max((by for by in reached if by < STRENGTHS[-1]), default=0.0)
 
 
-def _ways(entry: Adjustable, problem: TransientProblem, status: Status, played: Replay) -> Iterator[list[_Way]]:
+def _ways(entry: Adjustable, refused: Entry) -> Iterator[list[_Way]]:
     """Lists of ways that may help, the simplest first; each list is tried as a whole.
 
-    Empty for a replay whose integration does not converge: its device is too fast, whatever the command.
+    Empty for a replay whose integration does not converge: its device is too fast, whatever the command. A trial on a
+    nonlinear plant takes seconds, so that only limits that are missed are left out there.
     """
+    problem, played, status = refused.problem, refused.played, refused.status
+    if refused.designed.nonlinear is not None:
+        missed = [key for row in refused.designed.missed if (key := row.limit.dispensed_by())]
+        yield [_without(key) for key in missed]
+        yield [_without(*missed)] if len(missed) > 1 else []
+        return
 
     def movable(moves: Sequence[Move]) -> list[Move]:
         return [(key, up) for key, up in moves if _is_movable(entry, key)]

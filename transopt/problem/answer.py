@@ -241,7 +241,7 @@ class Certificate:
             return "not certified: its numbers do not stay finite"
         if not self._inside:
             over = ", ".join(f"{by:.3g} {unit}" for unit, by in self.stated_violations.items() if not by <= 0)
-            return f"not certified: a limit is exceeded by {over}"
+            return f"not certified: a limit is violated by {over}"
         if not self.is_stationary:
             gap, limit = f"{self.relative_gap:.1e} above the optimum", f"{self.GAP_TOLERANCE:.0e}"
             return f"not certified: no stationary point, may lie {gap}, limit {limit}"

@@ -45,7 +45,7 @@ def _admitted(designed: Designed, played: Replay) -> tuple[Status, list[str]]:
     stationary = certificate.is_stationary and any(name != TemperatureLimit.name for name in problem.nonlinear)
     if not (certificate.accepted or stationary):
         below = certificate.is_stationary and certificate.relative_bound > certificate.BOUND_TOLERANCE
-        return Status.NOT_GLOBAL if below else Status.NOT_CERTIFIED, [certificate.shortfall]
+        return Status.NOT_GLOBAL if below else Status.NOT_CERTIFIED, [_unproven(designed)]
     command = designed.solution.command
     shortfalls = played.shortfalls(problem, command, designed.effect.motion.acceleration_m_s2)
     if not shortfalls:
@@ -82,12 +82,23 @@ def _admitted_as_stationary(designed: Designed, played: Replay) -> tuple[Status,
         shortfalls = [NO_MOTION]
     if answer.status is not Status.OPTIMAL:
         shortfalls += _no_smooth_search(designed.nonlinear.stage)
-        return answer.status, [f"IPOPT: {answer.message}", *shortfalls]
+        missed = _missed(designed) if answer.status is Status.INFEASIBLE else []
+        return answer.status, [f"IPOPT: {answer.message}", *missed, *shortfalls]
     if not certificate.is_stationary:
-        return Status.NOT_CERTIFIED, [certificate.shortfall, *shortfalls]
+        return Status.NOT_CERTIFIED, [_unproven(designed), *shortfalls]
     if played.step_error <= AGREEMENT < played.off(predicted):
         shortfalls.append(cause)
     return (Status.REPLAY_VIOLATION, shortfalls) if shortfalls else (Status.STATIONARY, [])
+
+
+def _unproven(designed: Designed) -> str:
+    """Why the certificate is not accepted; the limits that the answer leaves by name."""
+    missed = _missed(designed)
+    return f"not certified: {' and '.join(missed)}" if missed else designed.certificate.shortfall
+
+
+def _missed(designed: Designed) -> list[str]:
+    return [row.missed(designed.problem.grid) for row in designed.missed]
 
 
 def _too_steep(stage: NonlinearStage) -> str:

@@ -7,7 +7,7 @@ from transopt.base.signals import FloatArray
 from transopt.problem.answer import Certificate, Solution, Status
 from transopt.problem.nonlinear import NonlinearProblem
 from transopt.problem.problem import TransientProblem
-from transopt.proof.effect import Effect
+from transopt.proof.effect import Box, Effect, farthest_out
 
 TOLERANCE_dB = 0.01  # accepted error of the energy, below a hundredth of the just noticeable difference
 
@@ -115,3 +115,9 @@ class Designed:
     def is_proven(self) -> bool:
         """Whether it is a certified stationary point; a global bound is not required where the temperature binds."""
         return self.solution.status is Status.OPTIMAL and self.certificate.is_stationary
+
+    @property
+    def missed(self) -> list[Box]:
+        """The row farthest out of each limit that the answer leaves by more than its tolerance."""
+        rows = [farthest_out(self.effect, limit) for limit in self.problem.limits]
+        return [row for row in rows if row.most > row.limit.tolerance]

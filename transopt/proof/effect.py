@@ -17,6 +17,7 @@ from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import BESIDES_THE_TARGET, TransientProblem, objectives
 
 TEMPERATURE = TemperatureLimit.row_names[0]
+ALIKE = 1e-6  # a violation less than the largest by this share is as large: the first instant of these is named
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,22 @@ class Box:
     def excess(self) -> FloatArray:
         """(N,) violation of the bounds, negative where they hold."""
         return np.asarray(np.maximum(self.value - self.upper, self.lower - self.value))
+
+    @property
+    def most(self) -> float:
+        """Largest violation of a bound, negative where all hold."""
+        return float(self.excess.max())
+
+    @property
+    def below(self) -> bool:
+        """Whether the value is farthest out at its lower bound."""
+        at = int(np.argmax(self.excess))
+        return bool(self.lower[at] - self.value[at] > self.value[at] - self.upper[at])
+
+    def missed(self, grid: TimeGrid) -> str:
+        """The largest violation in words: by how much, of which bound, and when."""
+        time_s = grid.switching_times_s[int(np.argmax(self.excess >= (1 - ALIKE) * self.most))]
+        return f"{self.limit.missed(self.most, lower=self.below)} at {time_s * 1e3:.1f} ms"
 
     @property
     def kept(self) -> bool:
@@ -327,6 +344,11 @@ def boxes_of(
     if thermal is not None and only in (None, thermal.name) and m.most(TEMPERATURE) > above:
         sides = np.full(N, -np.inf), thermal.bounds_C
         yield Box(thermal, effect.winding_C, *sides, m.lower(TEMPERATURE), m.upper(TEMPERATURE))
+
+
+def farthest_out(effect: Effect, limit: Limit) -> Box:
+    """The row of a limit with the largest violation by a command, or that comes nearest to its bound."""
+    return max(boxes_of(effect, Multipliers.zero(effect.problem), only=limit.name), key=lambda box: box.most)
 
 
 def inside(

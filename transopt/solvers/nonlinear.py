@@ -289,6 +289,11 @@ class NonlinearProgram:
                 sides = commands if of < 0 else states[:, of]
                 for side, bound in zip(sides, (-value.lower, value.upper), strict=True):
                     side[at] = np.minimum(side[at], bound[k] / by)
+        for side in (states, commands):
+            # IPOPT takes no bounds that cross: at their middle both limits are missed, and the proof says so.
+            crossing = side.sum(axis=0) < 0
+            middle = (side[1, crossing] - side[0, crossing]) / 2
+            side[:, crossing] = -middle, middle
         return -states[0], states[1], -commands[0], commands[1]
 
     def _guess(self, start: FloatArray) -> dict[str, FloatArray]:

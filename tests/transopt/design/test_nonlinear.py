@@ -163,6 +163,43 @@ class TestRefusedAnswer:
         [entry] = design_nonlinear(nonlinear_scene(tmp_path, mended, *SHORT)).all_entries()
         assert entry.status is Status.STATIONARY
 
+    @pytest.mark.parametrize(
+        ("limits", "said", "remedies"),
+        [
+            # The last command is zero.
+            (
+                "to.own_limit('least', 'V', lambda s: s.voltage, lower=0.05)",
+                ["least 0.05 V below its limit 0.05 V at 7.8 ms"],
+                ["no limits.own.least"],
+            ),
+            # At contact the mass is at rest.
+            (
+                "to.own_limit('away', 'm', lambda s: s.position, lower=1e-5)",
+                ["away 1e-05 m below its limit 1e-05 m at 0.0 ms"],
+                ["no limits.own.away"],
+            ),
+            # Two bounds on one variable that cross: halfway each is missed by half of their distance.
+            (
+                "to.own_limit('most', 'A', lambda s: s.current, upper=0.05), "
+                "to.own_limit('more', 'A', lambda s: s.current - 0.2 * (s.stage > 20), lower=-0.05)",
+                ["most 0.05 A over its limit 0.05 A at 4.2 ms", "more 0.05 A below its limit -0.05 A at 4.2 ms"],
+                ["no limits.own.most", "no limits.own.more"],
+            ),
+        ],
+        ids=["hand-over", "at rest", "crossing"],
+    )
+    def test_a_limit_that_no_command_keeps_is_named_and_left_out(
+        self, tmp_path: Path, limits: str, said: list[str], remedies: list[str]
+    ) -> None:
+        (tmp_path / "own.py").write_text(f"import transopt as to\nLIMITS = [{limits}]\n")
+        path = nonlinear_scene(tmp_path, ("[limits]", '[limits]\nown = ["own.py"]'), *SHORT)
+        [entry] = design_nonlinear(path).all_entries()
+        assert not entry.admitted
+        for each in said:
+            assert each in "; ".join(entry.shortfalls)
+        assert [str(remedy) for remedy in entry.remedies if remedy.solved] == remedies
+        assert entry.shortfalls[-1].endswith("would do")
+
     def test_too_steep_a_friction_says_how_steep_it_may_be(self, tmp_path: Path) -> None:
         def designed(v0: object, **options: int) -> Any:
             friction = ("[limits]", f'friction = "0.04*tanh(v/{v0})"\n[limits]')

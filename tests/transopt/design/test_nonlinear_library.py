@@ -132,7 +132,7 @@ class TestLibrary:
             (lambda library: replace(library, lower_bound=library.lower_bound + 0.9), "lower_bound says"),
             (lambda library: replace(library, acceleration_m_s2=1.001 * library.acceleration_m_s2), "is off by"),
             (lambda library: replace(library, mu_end=library.mu_end + 1e-3), "no stationary point"),
-            (lambda library: under(library, {"model.nonlinear": None}), "not certified: a limit is exceeded"),
+            (lambda library: under(library, {"model.nonlinear": None}), "not certified: a limit is violated"),
             (lambda library: under(library, {"model.nonlinear.force_factor": "BL"}), "not certified: "),
             (lambda library: replace(library, substeps=library.substeps + 0.5), "must be a whole number"),
             (lambda library: replace(library, substeps=0 * library.substeps), "must be a whole number from 1 to 32"),

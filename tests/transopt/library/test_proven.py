@@ -61,9 +61,9 @@ def test_what_was_designed_is_proven(library: Library, tmp_path: Path) -> None:
     ("change", "words"),
     [
         (louder, "not certified"),
-        (lambda of: under(of, {"limits.current_A": 3.9}), "not certified: a limit is exceeded by"),
+        (lambda of: under(of, {"limits.current_A": 3.9}), "not certified: a limit is violated by"),
         (lambda of: under(of, {"weights.rho": 1e-2}), "above the optimum, limit 1e-06"),
-        (lambda of: scaled(of, command=1.01, transient_command=1.01), "not certified: a limit is exceeded by"),
+        (lambda of: scaled(of, command=1.01, transient_command=1.01), "not certified: a limit is violated by"),
         (lambda of: scaled(of, command=0.9, transient_command=0.9), "above the optimum, limit 1e-06"),
         (lambda of: scaled(of, transient_command=2), "transient_command is off by"),
         (lambda of: scaled(of, acceleration_m_s2=1.01), "acceleration_m_s2 is off by"),

@@ -145,6 +145,5 @@ class FollowingCurrentLimit(Limit):
         if max(self.bends) <= self.kept_back:
             return ""
         return (
-            f"{self.label} {peak - self.limit:.3g} A over its limit {self.limit:g} A between two switching instants "
-            f"at time.dt_s = {problem.grid.dt_s:g} s"
+            f"{self.missed(peak - self.limit)} between two switching instants at time.dt_s = {problem.grid.dt_s:g} s"
         )

@@ -105,6 +105,7 @@ class Limit(ABC):
     indispensable : whether the problem needs it to bound the command, so that it can never be left out.
     price_step : step by which its price is computed, in `unit`; infinite for a share of the limit.
     of_each_device : whether it depends on the motion, so that a spread has rows for each device (`device_row`).
+    signed : whether its bounds have their own numbers; otherwise it bounds a magnitude, by one number.
     of_each_motor : whether plants with several motors can have it, with rows for each motor (`motor_row`).
     asks_for : what a scene has to state besides its number, in words; empty for nothing.
     said_without : why a problem does not have it, in words.
@@ -126,6 +127,7 @@ class Limit(ABC):
     indispensable: ClassVar[bool] = False
     price_step: ClassVar[float] = np.inf
     of_each_device: ClassVar[bool] = False
+    signed: ClassVar[bool] = False
     of_each_motor: ClassVar[bool] = False
     asks_for: ClassVar[str] = ""
     said_without: ClassVar[str] = ""
@@ -186,6 +188,14 @@ class Limit(ABC):
     def written(self, by: float = 0.0, *, lower: bool = False) -> float:
         """The number that the user writes for a bound, once the limit is raised by so much, in `key_unit`."""
         return self.key_scale * (self.stated + by)
+
+    def missed(self, by: float, *, lower: bool = False) -> str:
+        """A violation of a bound by so much, in words."""
+        side = "below" if lower and self.signed else "over"
+        return (
+            f"{self.label} {self.key_scale * by:.3g} {self.key_unit(step=True)} {side} its limit "
+            f"{self.written(lower=lower):.8g} {self.key_unit()}"
+        )
 
     def bound_in_words(self, side: str, *, two_sided: bool) -> str:
         """The bound of one side as reports state it where it binds."""

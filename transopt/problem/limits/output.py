@@ -145,7 +145,7 @@ class OutputLimit(Limit):
         if start <= self.limit + self.tolerance:
             return ""
         return (
-            f"{self.label} {start - self.limit:.3g} {self.unit} over its limit {self.limit:g} {self.unit} at "
+            f"{self.missed(start - self.limit)} at "
             f"{problem.grid.switching_times_s[0] * 1e3:.1f} ms by the motion of the incoming stylus alone"
         )
 
@@ -162,8 +162,8 @@ class OutputLimit(Limit):
         if all(self.excursion(device) <= self.margin(device) for device in range(len(self.bends))):
             return ""
         return (
-            f"{self.label} {peak - self.limit:.3g} {self.unit} over its limit {self.limit:g} {self.unit} between two "
-            f"switching instants, despite a margin of {MOST_KEPT:.0%} at time.dt_s = {problem.grid.dt_s:g} s"
+            f"{self.missed(peak - self.limit)} between two switching instants, despite a "
+            f"margin of {MOST_KEPT:.0%} at time.dt_s = {problem.grid.dt_s:g} s"
         )
 
     def replayed(self, peak: float) -> str:

@@ -96,6 +96,7 @@ class OwnLimit(Limit):
     """
 
     key: ClassVar[str] = "own"
+    signed: ClassVar[bool] = True
 
     lower: float
     upper: float

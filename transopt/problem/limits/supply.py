@@ -179,7 +179,7 @@ class SupplyLimit(Limit):
         if start <= self.limit_V + self.tolerance:
             return ""
         return (
-            f"supply {start - self.limit_V:.3g} V over its limit {self.limit_V:g} V at "
+            f"{self.missed(start - self.limit_V)} at "
             f"{problem.grid.switching_times_s[0] * 1e3:.1f} ms by the back-EMF of the incoming stylus alone"
         )
 
@@ -196,6 +196,6 @@ class SupplyLimit(Limit):
         if stated > self.limit_V + self.replay_tolerance:
             return ""
         return (
-            f"supply {peak - self.limit_V:.3g} V over its limit {self.limit_V:g} V within a servo period, by the "
+            f"{self.missed(peak - self.limit_V)} within a servo period, by the "
             f"back-EMF's swing at time.dt_s = {problem.grid.dt_s:g} s"
         )

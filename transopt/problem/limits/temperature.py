@@ -204,8 +204,7 @@ class TemperatureLimit(Limit):
             return "coil: no steady state even without a transient, thermal runaway"
         if excess[k] <= self.tolerance:
             return ""
-        over = f"coil {excess[k]:.2g} K over its limit {self.limit_C:.8g} C"
-        return f"{over} at {tau_ms[k]:.1f} ms even without a transient"
+        return f"{self.missed(float(excess[k]))} at {tau_ms[k]:.1f} ms even without a transient"
 
     def replayed(self, peak: float) -> str:
         return f"winding {peak:.3f} C, limit {self.limit_C:.8g} C"
@@ -215,7 +214,7 @@ class TemperatureLimit(Limit):
         hottest = float(self.temperatures_C(motion.plant_input, command).max())
         if hottest > self.limit_C + self.replay_tolerance:
             return ""
-        over = f"coil {peak - self.limit_C:.3g} K over its limit {self.limit_C:g} C"
+        over = self.missed(peak - self.limit_C)
         # The winding warms fastest under the limit current while no heat leaves it.
         resistance = self.coil.R_ohm * (1 + COPPER_PER_K * (self.limit_C - RESISTANCE_REFERENCE_C))
         power_W = resistance * float(effective_square(np.asarray(problem.limits.input_limit), self.coil.ripple_A))
