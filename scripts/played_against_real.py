@@ -132,7 +132,8 @@ def played(scene: Scene, entries: Sequence[BuildEntry], hand: Hand | None = None
     both = Taps(device, target, [*strike, *play], scene.hand.intention_s, wall).courses(times, switching)
     real, felt = np.split(both.acceleration_m_s2, 2)
     found = []
-    for e, r, a, heat in zip(entries, real, felt, both.heat_A2_s[len(entries) :], strict=True):
+    heats = both.heat_A2_s[len(entries) :, min(lost + grid.stages, times.size - 1)]
+    for e, r, a, heat in zip(entries, real, felt, heats, strict=True):
         recorded, passed, said = e.problem.target.recorded_m_s2, as_recorded(r, 1 / grid.dt_s), of_table(e)
         known, now, model = (
             told(times, *pair, float(heat), scene.hand.intention_s)

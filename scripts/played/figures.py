@@ -24,7 +24,8 @@ class Told:
     ----------
     tap, felt : errors relative to the real tap: nothing filtered over the intention; in the felt band over all.
     felt_dB : energy in that band beside the real tap's. speed : change of speed over the intention, played over real.
-    bump_g : largest error from 10 to 60 Hz after the intention. heat_A2_ms : integral of the squared current.
+    bump_g : largest error from 10 to 60 Hz after the intention.
+    heat_A2_ms : integral of the squared current over the window.
     """
 
     tap: float

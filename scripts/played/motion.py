@@ -65,7 +65,7 @@ class Tap:
 
 @dataclass(frozen=True)
 class Courses:
-    """What V taps did: stylus acceleration and motor position (V, K) at the samples, and integral of i^2 (V,)."""
+    """What V taps did: stylus acceleration, motor position and integral of i^2 (V, K) at the samples."""
 
     acceleration_m_s2: FloatArray
     position_m: FloatArray
@@ -142,7 +142,7 @@ class Taps:
             held = (felt, push, decay)
             if np.min(np.abs(times_s - start)) <= ROUNDING_S:
                 slope = self._rates(start, x.ravel(), *held).reshape(x.shape)
-                found.append((slope[self._n + self._device.stylus], x[0]))
+                found.append((slope[self._n + self._device.stylus], x[0], x[-1]))
             if j + 1 < edges.size:
                 span = start, edges[j + 1]
                 ended = solve_ivp(
@@ -157,8 +157,7 @@ class Taps:
                     first_step=span[1] - span[0],
                 )
                 x = ended.y[:, -1].reshape(x.shape)
-        accelerations, positions = zip(*found, strict=True)
-        return Courses(np.array(accelerations).T, np.array(positions).T, x[-1].copy())
+        return Courses(*(np.array(course).T for course in zip(*found, strict=True)))
 
     def _minded(self, x: FloatArray, start_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """States, (V,) acceleration and (V,) decay of the intention's speed, for the stretch that begins here."""

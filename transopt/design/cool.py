@@ -31,12 +31,6 @@ class _Tried:
     designed: Designed
 
 
-def heat_of(designed: Designed) -> float:
-    """Sum of i^2 over the window [A^2] for an answer."""
-    current = designed.effect.motion.plant_input
-    return float(current @ current)
-
-
 def at_share_of_heat(posed: Posed, first: Designed, share: float, options: SolverOptions) -> Search[Designed]:
     """Search for the optimum with at most a given share of the first answer's heat.
 
@@ -52,7 +46,7 @@ def at_share_of_heat(posed: Posed, first: Designed, share: float, options: Solve
     hand-over to a wall needs more heat than allowed, it is the optimum with the least heat found. If `first` makes no
     heat or is not proven, it is `first` itself.
     """
-    whole = heat_of(first)
+    whole = first.effect.heat_A2
     if not (first.is_proven and whole > 0):
         return first
     wanted, spent_s = float(np.log(share * whole)), 0.0
@@ -62,7 +56,7 @@ def at_share_of_heat(posed: Posed, first: Designed, share: float, options: Solve
         problem = replace(posed.problem.within(first.problem.parts), heat_price=price, shares=latest.problem.shares)
         designed = latest = yield from best(problem, options, objective=posed.objective)
         spent_s += designed.solution.solve_time_s
-        heat = heat_of(designed)
+        heat = designed.effect.heat_A2
         if not (designed.is_proven and heat > 0):
             break
         tried = _Tried(price, float(np.log(heat)), designed)

@@ -93,11 +93,8 @@ class Answered:
 
     @cached_property
     def heat_A2_s(self) -> float:
-        """Integral of i^2, of all motors, through the window and after it [A^2 s]; NaN where a voltage drives."""
-        if self.unit != "A":
-            return NAN
-        current = self.designed.effect.lasting.plant_input
-        return self.problem.grid.dt_s * float(np.vdot(current, current))
+        """Integral of i^2, of all motors, over the window [A^2 s]; NaN where a voltage drives."""
+        return self.problem.grid.dt_s * self.designed.effect.heat_A2 if self.unit == "A" else NAN
 
     @property
     def made_m_s2(self) -> FloatArray:

@@ -143,7 +143,7 @@ COLUMNS = {
         "peak error from 10 to 60 Hz afterwards, when the surface lets go",
         array="bump_m_s2",
     ),
-    "heat": Column("heat A2ms", _heat, "integral of the squared current", array="heat_A2_s"),
+    "heat": Column("heat A2ms", _heat, "integral of the squared current over the window", array="heat_A2_s"),
     "after": Column(
         "after %",
         percent,

@@ -71,7 +71,7 @@ class Held:
         "peak error in 10 to 60 Hz after the intention; NaN of a named target", "figures.bump_m_s2", may_be_nan=True,
         replayed=True)
     heat_A2_s: FloatArray = kept("vg", "A^2 s",
-        "integral of i^2 through the window and after it, NaN where a voltage drives the plant", "heat_A2_s",
+        "integral of i^2 over the window, NaN where a voltage drives the plant", "heat_A2_s",
         may_be_nan=True, replayed=True)
     energy: FloatArray = kept("vg", "m^2/s^4", "E, the sums of J over the target in place of the error",
         "problem.tracking.energy_m2_s4", replayed=True)

@@ -134,6 +134,12 @@ class Effect:
         """(N,) motion of the problem's own device within the window."""
         return self.lasting.first(self.command.shape[-1])
 
+    @property
+    def heat_A2(self) -> float:
+        """Sum of i_k^2 over the window, of all motors."""
+        current = self.motion.plant_input
+        return float(np.vdot(current, current))
+
     @cached_property
     def others(self) -> tuple[Motion, ...]:
         """(N + M,) motion of every further device through the window and after it."""

@@ -83,7 +83,7 @@ class Shown:
     reason : why it is not certified; empty if it is.
     figures : comparison with the recorded tap; None without an optimum.
     floor, clipped : tap error of the optimum without limits, and of that optimum clipped.
-    heat_A2_ms : integral of the squared current.
+    heat_A2_ms : integral of the squared current over the window.
     binds : binding limits, in words.
     curves : curves to draw; None in the answer of `settled`, which does not change them.
     warm : transient on a warm coil; None if none is requested, or the tap is not certified.

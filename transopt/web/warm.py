@@ -26,7 +26,7 @@ class Warm:
     scale : scale of the blend; 0 if no transient is played.
     cooled : share of the cool command in the blend.
     figures : comparison with the recorded tap; None if the cool command is needed and not certified.
-    heat_A2_ms : integral of the squared current.
+    heat_A2_ms : integral of the squared current over the window.
     """
 
     words: str
@@ -72,7 +72,8 @@ def on_warm_coil(
         scale, cooled = room.allowed(winding_C, winding_C, transient_A, size(cool), feedback_A, ticks)
         transient = scale * ((1 - cooled) * transient + cooled * cool)
     acceleration, current = problem.stage.rollout(rendered(problem, transient))
-    heat_A2_ms = 1e3 * dt_s * float(current @ current)
+    window_A = current[: problem.grid.stages]
+    heat_A2_ms = 1e3 * dt_s * float(window_A @ window_A)
     return (
         Warm(_words(scale, cooled), scale, cooled, problem.figures(acceleration), heat_A2_ms),
         acceleration,

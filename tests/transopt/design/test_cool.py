@@ -80,13 +80,13 @@ class TestOptimum:
         assert np.all(cool(cooled).felt_dB > cooled.felt_dB + 0.5 * scaled_dB)
 
     def test_beside_a_wall_the_least_heat_is_taken_that_its_hand_over_leaves(self, scene: Scene) -> None:
-        values = {"grid.speeds_m_s": [0.2], "grid.grips_N": [3.0], "hand.yields": "brakes", "grid.cool_share": 0.05}
+        values = {"grid.speeds_m_s": [0.2], "grid.grips_N": [3.0], "hand.yields": "brakes", "grid.cool_share": 0.01}
         wall = {"feedback": {"stiffness_N_m": 300.0, "damping_N_s_m": 1.0}}
         library = to.solve(with_values(scene, {**values, **wall}))
-        assert 0.05 < cool(library).heat_A2_s[0, 0] / library.heat_A2_s[0, 0] < 0.9
+        assert 0.01 < cool(library).heat_A2_s[0, 0] / library.heat_A2_s[0, 0] < 0.02
         assert not list(doubts(library))
 
-    @pytest.mark.parametrize("name", ["hot_coil", "rapid_tapping", "free_stylus"])
+    @pytest.mark.parametrize("name", ["hot_coil", "rapid_tapping", "free_stylus", "walled"])
     def test_scenes_of_every_kind_have_them(self, name: str) -> None:
         library = to.solve(with_values(load_scene(name), {"grid.cool_share": 0.5}))
         share = cool(library).heat_A2_s / library.heat_A2_s
