@@ -123,11 +123,13 @@ def changed(scene: Scene, values: Mapping[str, Any]) -> Scene:
 
 
 def by_scene(change: Mapping[str, Any]) -> list[Means | None]:
-    """Means of every scene with a change; None where the scene refuses it, as a window longer than the tap period."""
+    """Means of every scene of a hand with a change; None where the scene refuses it, as a window longer than the tap period."""
     found: list[Means | None] = []
-    for name in SCENES:
+    for scene in map(problems.load, SCENES):
+        if max(scene.grid.grips_N) == 0:
+            continue  # without a hand the optimum has no error, and ratios of it tell nothing
         try:
-            found.append(means(changed(problems.load(name), change)))
+            found.append(means(changed(scene, change)))
         except InputError:
             found.append(None)
     return found
