@@ -302,8 +302,8 @@ class Entry(Answered):
 
     @property
     def made_m_s2(self) -> FloatArray:
-        """(N,) replayed y'', from which the figures are computed."""
-        return self.played.acceleration_m_s2
+        """(N + M,) replayed y'', from which the figures are computed."""
+        return self.played.lasting_m_s2
 
     @property
     def figures(self) -> Figures:

@@ -98,8 +98,8 @@ class Answered:
 
     @property
     def made_m_s2(self) -> FloatArray:
-        """(N,) y'' that the figures are computed from."""
-        return self.predicted_m_s2
+        """(N + M,) y'' that the figures are computed from."""
+        return self.lasting_m_s2
 
     @property
     def tangential_error(self) -> float:

@@ -91,14 +91,19 @@ class Replay:
     __repr__ = brief
 
     @property
+    def lasting_m_s2(self) -> FloatArray:
+        """(N + M,) y'' at the switching instants and at those of the tail."""
+        return np.asarray(self.samples.courses.accelerations_m_s2[self.number])
+
+    @property
     def acceleration_m_s2(self) -> FloatArray:
         """(N,) y'' at the switching instants."""
-        return np.asarray(self.samples.courses.accelerations_m_s2[self.number][..., : self.command.shape[-1]])
+        return self.lasting_m_s2[..., : self.command.shape[-1]]
 
     @property
     def after_m_s2(self) -> FloatArray:
         """(M,) y'' at the instants of the tail."""
-        return np.asarray(self.samples.courses.accelerations_m_s2[self.number][..., self.command.shape[-1] :])
+        return self.lasting_m_s2[..., self.command.shape[-1] :]
 
     @property
     def plant_input(self) -> FloatArray:

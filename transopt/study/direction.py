@@ -81,7 +81,7 @@ def direction(scene: Scene) -> tuple[list[Traded], list[Proven]]:
         free = methods[0][2]
         replays = replayed([problem] * len(methods), np.stack([command for _, _, command in methods]))
         for (method, weight, command), played in list(zip(methods, replays, strict=True))[1:]:
-            tangential, angle = problem.yardstick.across(problem.target, played.acceleration_m_s2)
+            tangential, angle = problem.yardstick.across(problem.target, played.lasting_m_s2)
             figures = played.figures
             angles = _angles(problem, force_N_A, free, command)
             errors = (figures.tap_error, figures.felt_error, figures.felt_dB, tangential, float(np.degrees(angle)))

@@ -67,8 +67,7 @@ class TestDesign:
         monkeypatch.setattr(nonlinear_replay, "MOST_SHOTS", 0)
         (expected,) = replay_nonlinear(problem, [entry.solution.command])
         size = expected.scale_m_s2
-        assert entry.made_m_s2 == pytest.approx(expected.acceleration_m_s2, abs=1e-8 * size)
-        assert entry.played.after_m_s2 == pytest.approx(expected.after_m_s2, abs=1e-8 * size)
+        assert entry.made_m_s2 == pytest.approx(expected.lasting_m_s2, abs=1e-8 * size)
         assert entry.played.reached == pytest.approx(expected.reached, rel=1e-8)
 
     def test_draws_the_motion_on_the_nonlinear_plant(self, design: Build) -> None:

@@ -110,12 +110,11 @@ class Yardstick:
 
         Parameters
         ----------
-        acceleration_m_s2 : (p, K) y'' from tau_0 on, the normal first, K at least the samples of the window.
+        acceleration_m_s2 : (p, K) y'' from tau_0 on, the normal first, K at least the samples of window and tail.
         """
-        N, lost = self.grid.stages, target.lost
-        first = self._intention(lost, lost + N)
-        made = target.free_m_s2[:, : lost + N].copy()
-        made[:, lost:] += acceleration_m_s2[:, :N]
+        made = target.free_m_s2.copy()
+        made[:, target.lost :] += acceleration_m_s2[:, : made.shape[1] - target.lost]
+        first = self._intention(target.lost, made.shape[1])
         recorded = target.recorded_m_s2[:, first]
         aside, straight = (float(np.linalg.norm(x)) for x in (made[1:, first] - recorded[1:], made[0, first]))
         error = _over(np.array([aside]), _size(recorded[:1]))
