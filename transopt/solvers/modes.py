@@ -8,7 +8,7 @@ from transopt.base.signals import ComplexArray, FloatArray
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import Layout, LinearStage, layout
 
-# Largest condition number of T for which modal coordinates are used. The built-in scenes have at most 87; a wall's
+# Largest condition number of T for which modal coordinates are used. The built-in scenes have at most 50; a wall's
 # delay line is not diagonalisable. The compiled certificate uses the same coordinates, so it does not see the
 # rounding of the transformation, which grows with the square of the condition: at 8e3 a gap reported as 1e-8 of J was
 # in truth 6e-4, at 4e2 all agree to 1e-6.
@@ -35,45 +35,19 @@ class Modes:
 def modes_of(problem: TransientProblem, stage: LinearStage) -> Modes:
     """The modes of a linear stage, cached with the device."""
     where = layout(problem)
-    current = where.current if where.amplifier else -1
-
-    def found() -> Modes:
-        return _of_dynamics(stage.A, current) if where.motors == 1 else _of_motors(stage, where)
-
-    return problem.stage.kept(Modes, (stage.A,), (current, where.motors), found)
+    return problem.stage.kept(Modes, (stage.A,), (where,), lambda: _modes_of(stage, where))
 
 
-def _of_dynamics(A: FloatArray, current: int) -> Modes:
-    n, dense = A.shape[0], Modes(np.eye(A.shape[0]), A, current)
-    if not np.isfinite(A).all():
-        return dense  # from a damaged file; the certificate refuses the answer
-    values, vectors = np.linalg.eig(A[:-1, :-1])
-    pairs, real = _columns(values, vectors)
-    T = np.zeros((n, n))
-    T[:-1, :-1], T[-1, -1] = np.concatenate([pairs, real]).T, 1.0
-    T /= np.maximum(np.sqrt((T * T).sum(axis=0)), np.finfo(float).tiny)
-    if current >= 0:
-        # Only the command acts on the current, so that the current is itself a mode; it keeps its unit.
-        own = int(np.abs(T[current]).argmax())
-        if not abs(T[current, own]) * MOST_CONDITION >= 1:
-            return dense  # in its unit this column would be longer than the commands' by more than the condition
-        T[:, own] /= T[current, own]
-        T[current] = np.arange(n) == own
-    if not np.linalg.cond(T) <= MOST_CONDITION:
-        return dense
-    found = np.where(_pattern(n, 1, len(pairs)), np.linalg.solve(T, A @ T), 0.0)
-    return Modes(T, found, own if current >= 0 else -1)
-
-
-def _of_motors(stage: LinearStage, where: Layout) -> Modes:
-    """The modes of a device with several motors, whose amplifiers, and error filters, have equal poles.
+def _modes_of(stage: LinearStage, where: Layout) -> Modes:
+    """The modes of a stage, whose amplifiers have equal poles, and whose error filters have too.
 
     The order is complex modes in pairs, error filters, real modes, currents, commands. The eigenvectors of the
-    plant's modes include the response of the error filters, each of which keeps its two states as a pair.
+    plants' modes include the response of the error filters, each of which keeps its two states as a pair: filters of
+    several devices have the same eigenvalues, to which no eigenvectors belong that could be told apart.
     """
     n, m, A = stage.units.size, stage.motors, stage.A
     dense = Modes(np.eye(n), A, where.current if where.amplifier else -1)
-    if not np.isfinite(A).all():
+    if where.feedback_delay is not None or not np.isfinite(A).all():  # numbers of a damaged file are refused later
         return dense
     size, before = sum(where.plants), n - m
     pole = float(A[where.current, where.current]) if where.amplifier else 0.0

@@ -3,6 +3,8 @@
 import threading
 from collections.abc import Sequence
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from problems.stress.parts import Coil, Current, Horizon, Surface
 from transopt.base.recursions import address
 from transopt.design.context import Context
 from transopt.problem.problem import TransientProblem
+from transopt.problem.stage import Layout, linear_stage
 from transopt.references.references import References
 from transopt.scene.scene import Scene
 from transopt.solvers import modes, stage_data
@@ -140,9 +143,20 @@ def test_without_limits_nothing_is_bounded(problems: list[TransientProblem]) -> 
 def test_a_current_that_is_lost_in_every_mode_leaves_the_states_as_they_are() -> None:
     """In the unit of the current such a mode would overflow; every warning is an error here."""
     A = np.array([[0.5, 1e308, 0.0], [0.0, 0.25, 0.75], [0.0, 0.0, 1.0]])
-    found = modes._of_dynamics(A, current=1)
+    stage: Any = SimpleNamespace(A=A, units=np.ones(3), motors=1)
+    found = modes._modes_of(stage, Layout((1,), amplifier=True, filters=(), priced=False, feedback_delay=None))
     np.testing.assert_array_equal(found.T, np.eye(3))
     np.testing.assert_array_equal(found.A, A)
+
+
+@pytest.mark.parametrize("grips_N", [(2.4, 2.6, 2.8, 3.2, 3.4, 3.6), (2.999, 3.001), (3.0, 3.0)])
+def test_the_modes_of_a_spread_are_apart(problems: list[TransientProblem], scene: Scene, grips_N: Any) -> None:
+    """The error filters of all its devices have the same eigenvalues, and nearly equal devices nearly equal ones."""
+    several = replace(problems[1], spread=tuple(Context(scene).stage(grip) for grip in grips_N))
+    A = linear_stage(several).A
+    found = modes.modes_of(several, linear_stage(several))
+    assert np.linalg.cond(found.T) < 50
+    np.testing.assert_allclose(found.T @ found.A, A @ found.T, atol=1e-12 * np.abs(A).max())
 
 
 def test_a_posed_problem_cannot_be_edited_under_what_is_kept_of_it(problems: list[TransientProblem]) -> None:
