@@ -123,7 +123,7 @@ def changed(scene: Scene, values: Mapping[str, Any]) -> Scene:
 
 
 def by_scene(change: Mapping[str, Any]) -> list[Means | None]:
-    """Means of every scene of a hand with a change; None where the scene refuses it, as a window longer than the tap period."""
+    """Means of every scene of a hand with a change; None where it is refused, as a window beyond the tap period."""
     found: list[Means | None] = []
     for scene in map(problems.load, SCENES):
         if max(scene.grid.grips_N) == 0:

@@ -371,7 +371,9 @@ def solve(problem: NonlinearProblem, start: FloatArray, options: SolverOptions) 
     """Solve from a command (N,), that of the linear design, with as many substeps as the answer needs.
 
     A coarse program with few substeps is solved first and takes most of IPOPT's iterations. The program with all
-    substeps that its command needs is then solved from the coarse answer, in few iterations.
+    substeps that its command needs is then solved from the coarse answer, in few iterations. Where IPOPT does not
+    converge, it starts once more from rest: on a plant that stiffens much the linear design's command may make a
+    motion far from any optimum.
 
     Returns
     -------
@@ -379,8 +381,14 @@ def solve(problem: NonlinearProblem, start: FloatArray, options: SolverOptions) 
     """
     linear = problem.linear
     posed = replace(problem, stage=resolved(problem.stage, linear.continued(start), COARSE)[0])
-    found, near = NonlinearProgram(posed, options).solve(start)
+    coarse = NonlinearProgram(posed, options)
+    found, near = coarse.solve(start)
     spent, iterations = found.solve_time_s, found.iterations
+    if found.status not in (Status.OPTIMAL, Status.INFEASIBLE):
+        again, its_near = coarse.solve(np.zeros_like(start))
+        spent, iterations = spent + again.solve_time_s, iterations + again.iterations
+        if again.status is Status.OPTIMAL:
+            found, near = again, its_near
     while found.status is Status.OPTIMAL:
         stage, _ = resolved(posed.stage, linear.continued(found.command))
         if stage.substeps <= posed.stage.substeps:

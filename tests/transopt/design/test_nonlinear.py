@@ -70,6 +70,18 @@ class TestDesign:
         assert entry.made_m_s2 == pytest.approx(expected.lasting_m_s2, abs=1e-8 * size)
         assert entry.played.reached == pytest.approx(expected.reached, rel=1e-8)
 
+    def test_starts_from_rest_where_the_linear_design_leads_nowhere(self, tmp_path: Path) -> None:
+        """On a spring that stiffens steeply the linear command makes a motion from which IPOPT does not find back."""
+        steep = 'stiffness = "K*(1 + 80*(x/0.3e-3)**10)"\n[limits]'
+        pulse = (
+            "frequency_Hz = 150\ncycles = 2\npeak_m_s2 = 12.0",
+            "frequency_Hz = 247\ncycles = 3\npeak_m_s2 = 22.0",
+        )
+        path = nonlinear_scene(tmp_path, ("[limits]", steep), ("stroke_m = 6e-4", "stroke_m = 1.8e-4"), pulse)
+        [entry] = design_nonlinear(path, options=SolverOptions(max_iterations=40)).all_entries()
+        assert entry.status is Status.STATIONARY
+        assert entry.solution.iterations > 40
+
     def test_draws_the_motion_on_the_nonlinear_plant(self, design: Build) -> None:
         ((entry,),) = design.entries
         figure = entry.plot()

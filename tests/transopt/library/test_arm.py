@@ -68,7 +68,9 @@ def test_below_the_limits_the_force_is_along_the_normal(library: Library) -> Non
 
 def test_the_error_across_the_normal_counts_to_the_end_of_the_intention(library: Library) -> None:
     """The window of 24 ms is shorter than the intention of 30 ms, and the lead leaves contact no sample before it."""
-    made = library.lasting(1, 0)[0] + np.concatenate([library.free_m_s2[1, 0], library.free_after_m_s2[1, 0]], axis=-1)
+    made = library.lasting(1, 0)[0] + np.concatenate(
+        [library.free_m_s2[1, 0], library.free_after_m_s2[1, 0]], axis=-1
+    )
     recorded = np.concatenate([library.recorded_m_s2[1, 0], library.recorded_after_m_s2[1, 0]], axis=-1)
     times_s = library.time_grid().switching_times_s[0] + 1e-4 * np.arange(made.shape[-1])
     within = (times_s > -1e-9) & (times_s < 0.03 - 1e-9)
