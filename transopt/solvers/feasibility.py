@@ -77,9 +77,9 @@ def least_widening(problem: TransientProblem, limits: Collection[str]) -> Wideni
     InputError : invalid bounds of a limit (`check_bounds`).
     """
     # Values before the first command acts are fixed and have no row in the stages; their excess bounds the factor.
-    least, blamed = 0.0, set[str]()
+    least, blamed, ideal = 0.0, set[str](), problem.stage.amplifier is None
     for limit, row in problem.rows():
-        over = _first_excess(row) / limit.stated if row.linear and row.waits else 0.0
+        over = _first_excess(row) / limit.stated if row.linear and row.waits(ideal=ideal) else 0.0
         if over > SLACK and limit.name not in limits:
             return None
         if over > SLACK:

@@ -51,7 +51,7 @@ SINGLE = {(INPUT,): INPUT, (COMMAND,): COMMAND, (COMMAND, HELD): "movement"}
 
 def stated_rows(problem: TransientProblem, stage: LinearStage) -> list[StatedRow]:
     """All rows of all limits, each divided by its stated limit."""
-    N, found = problem.grid.stages, list[StatedRow]()
+    N, ideal, found = problem.grid.stages, problem.stage.amplifier is None, list[StatedRow]()
     for limit, row in problem.rows():
         if not row.linear:
             continue
@@ -59,13 +59,13 @@ def stated_rows(problem: TransientProblem, stage: LinearStage) -> list[StatedRow
         asked = (np.stack(row.bounds(N)) - row.offset) / limit.stated
         lower, upper = asked.copy()
         # Fixed values: at tau_0 the device is at rest; commands of a hand-over without a wall are zero.
-        decided = [slice(1 if row.waits else 0)]
+        decided = [slice(1 if row.waits(ideal=ideal) else 0)]
         if problem.wall is None and tuple(row.outputs) == (COMMAND,):
             decided.append(slice(problem.free_stages, N))
         for at in decided:
             lower[at], upper[at] = -np.inf, np.inf
         single = SINGLE.get(tuple(row.outputs), "")
-        if single == "movement" and row.outputs[HELD] != -row.outputs[COMMAND]:
+        if (single == "movement" and row.outputs[HELD] != -row.outputs[COMMAND]) or (single == INPUT and ideal):
             single = ""
         # A variable has one box, and so one multiplier on each side.
         by, motor = limit.stated, row.motor or 0

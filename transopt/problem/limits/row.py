@@ -85,10 +85,15 @@ class Row:
         """Whether the value is a linear combination of outputs."""
         return True
 
-    @property
-    def waits(self) -> bool:
-        """Whether the value of stage k does not depend on c_k; that of stage 0 then depends on no command."""
-        return not any(name == COMMAND or name.endswith(PERIOD) for name in self.outputs)
+    def waits(self, *, ideal: bool) -> bool:
+        """Whether the value of stage k does not depend on c_k; that of stage 0 then depends on no command.
+
+        Parameters
+        ----------
+        ideal : whether the amplifier is, so that the plant's input is the command.
+        """
+        at_once = (COMMAND, INPUT) if ideal else (COMMAND,)
+        return not any(name in at_once or name.endswith(PERIOD) for name in self.outputs)
 
 
 def device_row(name: str, device: int) -> str:

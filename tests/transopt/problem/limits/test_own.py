@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import problems
+import transopt as to
 from tests.benches import dense
 from tests.benches.libraries import proven_again
 from transopt.base.errors import InputError
@@ -22,6 +23,8 @@ from transopt.proof.effect import Effect
 from transopt.proof.farkas import is_infeasible
 from transopt.recordings.recording import Recording
 from transopt.report.first import Look, lines
+from transopt.scene.keys import with_values
+from transopt.solvers.options import SolverOptions
 from transopt.solvers.own import CasadiLaw, StageSymbols, own_limit
 from transopt.solvers.prove import certified
 
@@ -98,6 +101,21 @@ def test_one_that_no_command_keeps_is_refused_with_its_sign(tmp_path: Path, taps
         entry = solved(tmp_path, taps, f"to.own_limit('held', 'A', lambda s: s.current, {bound})").entries[-1][0]
         assert entry.status is Status.INFEASIBLE
         assert entry.shortfalls[0].startswith(f"held 0.3 A {said} at ")
+
+
+@pytest.mark.parametrize("solver", ["riccati", "casadi-ipopt"])
+def test_with_an_ideal_amplifier_the_first_current_is_the_first_command(solver: str) -> None:
+    values = {"grid.speeds_m_s": [0.2], "grid.grips_N": [5.0], "time.stages": 300}
+    found = []
+    for of in (lambda s: s.current, lambda s: s.command):
+        own = [own_limit("bounded", "A", of, lower=-0.05).table(300)]
+        scene = with_values(problems.load("ideal_amplifier"), {**values, "limits.own": own})
+        [entry] = to.build(scene, options=SolverOptions(solver=solver)).all_entries()
+        assert entry.status is Status.OPTIMAL
+        assert entry.binding.startswith("bounded -0.05 A at -0.20 to -0.10")
+        assert entry.solution.solver == solver
+        found.append(entry.certificate.objective)
+    assert found[0] == pytest.approx(found[1], rel=1e-8)
 
 
 @pytest.mark.parametrize(("limit", "name", "value"), [(AREA, "area", 1.0), (POWER, "power", -1.2)])
