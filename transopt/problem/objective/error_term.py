@@ -9,6 +9,7 @@ from transopt.base.errors import InputError
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.time_grid import TimeGrid
+from transopt.problem.objective.figures import ROUNDING_s
 from transopt.problem.objective.weighting import RAPID, ErrorFilter, highpass, pacinian
 
 
@@ -66,10 +67,9 @@ def plain(weight: float, grid: TimeGrid, intention_s: float) -> ErrorTerm:
     weight : >= 0.
     intention_s : duration after contact for which the hand's intention is known; infinite for a named target.
     """
-    within = grid.switching_times_s < intention_s
-    # A target that fills the window is a named one, without a hand: ringing after it is error too.
-    after = weight if within.all() else 0.0
-    return ErrorTerm("plain", np.where(within, weight, 0.0), weight, after)
+    within = grid.switching_times_s < intention_s - ROUNDING_s
+    # A named target involves no hand: ringing after it is error too.
+    return ErrorTerm("plain", np.where(within, weight, 0.0), weight, weight if np.isinf(intention_s) else 0.0)
 
 
 def rapid_filter(kind: str, from_Hz: float, dt_s: float) -> ErrorFilter | None:

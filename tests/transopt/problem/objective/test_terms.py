@@ -101,6 +101,18 @@ def test_the_plain_term_ends_with_the_intention_and_a_targets_never() -> None:
     np.testing.assert_array_equal(of_a_hand.weights > 0, grid.switching_times_s < 30e-3 - 1e-12)
     assert (of_a_hand.before, of_a_hand.after) == (0.09, 0.0)
     assert of_a_target.weights.min() == of_a_target.after == 1.0
+    # A tap's window that ends before the intention leaves the plain error of the tail out all the same.
+    short = plain(0.09, TimeGrid(DT_S, 200, 3e-4, 0.0, 100), 30e-3)
+    assert (short.weights.min(), short.after) == (0.09, 0.0)
+
+
+@pytest.mark.parametrize("dt_s", [1e-4, 2e-4, 3e-4, 5e-4])
+def test_the_plain_term_has_no_instant_at_the_intentions_end(dt_s: float) -> None:
+    """The instant at 30 ms is off by a rounding error, which may be of either sign."""
+    times_s = dt_s * np.arange(-1, 199)
+    assert np.count_nonzero(plain(0.09, TimeGrid(dt_s, 200, dt_s, 0.0, 0), 30e-3).weights) == np.count_nonzero(
+        times_s < 30e-3 - 0.1 * dt_s
+    )
 
 
 @pytest.mark.parametrize("dt_s", [2e-5, 1e-4, 1e-3])
