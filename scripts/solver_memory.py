@@ -49,6 +49,7 @@ FLAGS = ("-std=c99", "-g1", "-ffp-contract=off", "-fno-math-errno", "-Wall", "-W
 # AddressSanitizer tells of a wrong pointer when it is used: asking of each before that doubles the compilation.
 SEEN_ANYWAY = "-fno-sanitize=null,object-size,pointer-overflow"
 SANITIZED = ("-O0", "-fsanitize=address,undefined", SEEN_ANYWAY, "-fno-sanitize-recover=all")
+TRACED = "-O1"  # as valgrind's manual advises: from -O2 on it may take what the compiler makes for uninitialised
 VALGRIND = ("valgrind", "--quiet", "--leak-check=full", "--error-exitcode=9")
 TOLERANCE = 1e-9  # relative, between compilations; strict IEEE makes it zero on most machines
 MISSING = 3
@@ -220,7 +221,7 @@ def main() -> int:
     wanted = [expected(stages) for stages in given]
     sizes = solving(given)
     runs = {f"sanitizers, {width} wide": (SANITIZED, width) for width in WIDTHS}
-    traced = {} if shutil.which("valgrind") is None else {"valgrind": (("-O2",), TRACED_WIDTH)}
+    traced = {} if shutil.which("valgrind") is None else {"valgrind": ((TRACED,), TRACED_WIDTH)}
     runs |= traced
     with tempfile.TemporaryDirectory() as made, ThreadPoolExecutor(2) as pool:
         folder = Path(made)
