@@ -211,7 +211,8 @@ def relative(error: ModelError, measured: Sequence[GripResponse]) -> float:
         inside = (f >= TAP_HZ[0]) & (f <= TAP_HZ[1])
         width = np.gradient(f)[inside]
         off = np.interp(np.log(f[inside]), np.log(error.frequencies_Hz), row)
-        parts.append(off @ width / (np.abs(one.estimate.response[inside]) ** 2 @ width))
+        square = np.abs(one.estimate.response[inside]) ** 2
+        parts.append(np.average(off, weights=width) / np.average(square, weights=width))
     return float(np.sqrt(np.mean(parts)))
 
 
