@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 
 class State(Enum):
@@ -50,8 +50,7 @@ class Notice(Enum):
     NO_GRIP = "no transient: the stylus is not held, or too loosely"
 
 
-@dataclass(frozen=True, slots=True)
-class Readings:
+class Readings(NamedTuple):
     """Readings of the sensors at one tick.
 
     Attributes
@@ -91,8 +90,7 @@ class Event:
     cooled: float = float("nan")
 
 
-@dataclass(frozen=True, slots=True)
-class Output:
+class Output(NamedTuple):
     """Output of the servo for the readings of one tick.
 
     Attributes

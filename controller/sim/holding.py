@@ -1,7 +1,5 @@
 """Worlds behind the port `sim:`: a hand that holds the stylus still, and a device file's raw readings."""
 
-from dataclasses import replace
-
 from controller.device.device_file import DeviceFile
 from controller.servo.interface import Output, Readings, State
 from controller.sim.port import World
@@ -92,4 +90,4 @@ class Wired:
 
     def advance(self, output: Output) -> None:
         scale = self._device.amplifier.scale
-        self._world.advance(output if scale == 1.0 else replace(output, command_A=scale * output.command_A))
+        self._world.advance(output if scale == 1.0 else output._replace(command_A=scale * output.command_A))

@@ -2,7 +2,6 @@
 
 from bisect import bisect_right
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import count
 
 import pytest
@@ -194,7 +193,7 @@ class Desk(Cable):
         readings = self.plant.readings()
         if self._gravity_m_s2 or self.hand.pressed:
             felt = readings.acceleration_m_s2 + self._gravity_m_s2
-            readings = replace(readings, acceleration_m_s2=felt, emergency_stop=self.hand.pressed)
+            readings = readings._replace(acceleration_m_s2=felt, emergency_stop=self.hand.pressed)
         return readings if self.wrong is None else self.wrong(readings)
 
     def advance(self, output: Output) -> None:

@@ -2,7 +2,7 @@
 
 import subprocess
 from collections.abc import Callable, Iterator
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import count
 from operator import attrgetter
 from pathlib import Path
@@ -118,7 +118,7 @@ class World(Rehearsal[ProbedDevice]):
 
 REST_TICKS = 100  # after so many readings a device knows that the stylus rests
 REST = Readings(0, 200, 3.0, 0.0, 0.0)
-SENSED = attrgetter(*(part.name for part in fields(Readings)[1:]))  # all but the tick
+SENSED = attrgetter(*Readings._fields[1:])  # all but the tick
 HASHES = sha256(CONFIGURATION), sha256(IMAGE)
 ARM = m.Arm(0, 200, 1.0, *HASHES)
 

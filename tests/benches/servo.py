@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 
 from controller.servo.interface import Fault, Notice, Output, Readings
 from controller.servo.settings import Settings
@@ -46,7 +45,7 @@ class Bench:
         # A prescribed motion does not feel the current; the ringing of the drive under it tells of a live sensor.
         felt = (now_m - 2 * last_m + earlier_m) / DT_S**2 + (RINGING_M_S2 if self.tick % 2 else -RINGING_M_S2)
         reading = Readings(self.tick, counts, self.grip_N, self.current_A, felt)
-        return replace(reading, **self.change) if self.change else reading  # type: ignore[arg-type]
+        return reading._replace(**self.change) if self.change else reading  # type: ignore[arg-type]
 
     def step(self) -> Output:
         output = self.servo.step(self.reading())

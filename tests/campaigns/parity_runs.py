@@ -152,7 +152,7 @@ def falsified(random: Random, readings: Readings) -> Readings:
         lambda: {"current_A": float(random.choice([*ABSURD, 49.0, 5.3, -5.3]))},
         lambda: {"grip_N": float(random.choice([*ABSURD, 0.0, 0.3, 59.0, 61.0, -2.0]))},
     )
-    return replace(readings, **kinds[int(random.integers(len(kinds)))]())
+    return readings._replace(**kinds[int(random.integers(len(kinds)))]())
 
 
 def random_run(seed: int, ticks: int) -> Recorder:
@@ -199,7 +199,7 @@ def random_run(seed: int, ticks: int) -> Recorder:
             felt * bend + tilt + (0.2 * sensed.standard_normal() if felt else 0.0),
         )
         if sensed.uniform() < faulty / 5:
-            readings = replace(readings, acceleration_m_s2=float(sensed.choice([*ABSURD, 5000.0])))
+            readings = readings._replace(acceleration_m_s2=float(sensed.choice([*ABSURD, 5000.0])))
         if random.uniform() < faulty:
             readings = falsified(random, readings)
         recorder.step(readings, *draw_wishes(random, servo.state))

@@ -6,7 +6,7 @@ rounded to a grid before a device sees them; what is recorded then packs to a th
 
 import struct
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -113,8 +113,7 @@ class Overheard:
         self.device.receive(data)
 
     def step(self, readings: Readings) -> Output:
-        r = replace(
-            readings,
+        r = readings._replace(
             tick=len(self._rows),
             encoder_counts=counts_of(readings.encoder_counts),
             grip_N=_rounded(readings.grip_N),

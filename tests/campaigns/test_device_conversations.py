@@ -121,7 +121,7 @@ def faults(table: Table) -> None:
     """Stopped by the button, by the host, by a dead sensor; no reset before the cause is gone."""
     table.ready().armed()
     hands = table.readings
-    table.readings = lambda k: replace(hands(k), emergency_stop=True)
+    table.readings = lambda k: hands(k)._replace(emergency_stop=True)
     table.run(5e-3)
     table.session.reset()
     table.asked()
@@ -132,7 +132,7 @@ def faults(table: Table) -> None:
     table.run(0.1)
     table.session.reset()
     table.asked().armed()
-    table.readings = lambda k: replace(hands(k), current_A=float("nan"), acceleration_m_s2=1e300)
+    table.readings = lambda k: hands(k)._replace(current_A=float("nan"), acceleration_m_s2=1e300)
     table.run(5e-3)
     table.readings = hands
     table.session.reset()

@@ -90,20 +90,20 @@ class Broken(OwnWorld):
     def readings(self, tick: int) -> Readings:
         true = super().readings(tick)
         ripple = RIPPLE_A * float(self.phase.uniform(-1, 1))
-        true = replace(true, current_A=true.current_A + self.wires.monitor * ripple)
+        true = true._replace(current_A=true.current_A + self.wires.monitor * ripple)
         if not self.broken:
             self.kept = true
             return true
         self.kept = held = self.kept or true
         changes: dict[str, Callable[[], Readings]] = {
             "amplifier stops": lambda: true,
-            "monitor twice": lambda: replace(true, current_A=2 * true.current_A),
-            "monitor stuck": lambda: replace(true, current_A=held.current_A),
-            "encoder stuck": lambda: replace(true, encoder_counts=held.encoder_counts),
-            "encoder channel open": lambda: replace(
-                true, encoder_counts=OpenChannel(held.encoder_counts).counts(true.encoder_counts)
+            "monitor twice": lambda: true._replace(current_A=2 * true.current_A),
+            "monitor stuck": lambda: true._replace(current_A=held.current_A),
+            "encoder stuck": lambda: true._replace(encoder_counts=held.encoder_counts),
+            "encoder channel open": lambda: true._replace(
+                encoder_counts=OpenChannel(held.encoder_counts).counts(true.encoder_counts)
             ),
-            "accelerometer dead": lambda: replace(true, acceleration_m_s2=held.acceleration_m_s2),
+            "accelerometer dead": lambda: true._replace(acceleration_m_s2=held.acceleration_m_s2),
         }
         return changes[self.kind]()
 
@@ -114,7 +114,7 @@ class Broken(OwnWorld):
             self.since += 1
         if self.broken and self.kind == "amplifier stops":
             most_A = STOPS_A / self.wires.amplifier
-            output = replace(output, command_A=min(max(output.command_A, -most_A), most_A))
+            output = output._replace(command_A=min(max(output.command_A, -most_A), most_A))
         super().advance(output)
 
 
@@ -221,7 +221,7 @@ def pressed(
             talker.tell(talker.lease())
         readings = world.readings(tick)
         tilted = readings.acceleration_m_s2 + tilt_m_s2 * math.sin(2 * math.pi * world.now_s)
-        output = talker.device.step(replace(readings, acceleration_m_s2=tilted))
+        output = talker.device.step(readings._replace(acceleration_m_s2=tilted))
         faults = [event.what for event in output.events if isinstance(event.what, Fault)]
         if faults:
             return faults[0]

@@ -1,6 +1,5 @@
 """`transopt-play` on a device: what is printed, written and returned, whatever goes wrong on the way."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -86,7 +85,7 @@ def test_check_then_tap_quietly_then_in_full(play: Run, library: Library, monkey
 
 
 def test_a_failed_check_is_no_pass(play: Run, desk: Desk) -> None:
-    desk.wrong = lambda readings: replace(readings, acceleration_m_s2=-readings.acceleration_m_s2)
+    desk.wrong = lambda readings: readings._replace(acceleration_m_s2=-readings.acceleration_m_s2)
     outcome = play("check", "library.npz", *PORT, "--skip", "encoder", "--skip", "emergency-stop", "--patience", 2)
     assert outcome.code == 1
     assert "accelerometer: FAILED: " in outcome.out

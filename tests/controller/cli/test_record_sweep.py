@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -236,7 +235,7 @@ def test_what_ends_a_trial_leaves_the_ones_before_whole_and_nothing_of_it(play: 
             elif how == "let go":
                 checked.hand.held_N = 0.0
             else:
-                checked.wrong = lambda readings: replace(readings, current_A=float("nan"))
+                checked.wrong = lambda readings: readings._replace(current_A=float("nan"))
 
     checked.each_ms = look
     outcome = play(*SHORT, "--trials", 3, "--grips", 3)

@@ -1,6 +1,5 @@
 """`transopt-play zero` and drift: the surface in the device file and in the device, which may refuse to move it."""
 
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -57,7 +56,7 @@ def test_a_surface_of_another_start_is_named_by_the_check(play: Run, touching: D
     touching.hand.back(touching.now_s())
     assert OTHER_START not in play(*check).out
     touching.restart()
-    touching.wrong = lambda seen: replace(seen, encoder_counts=seen.encoder_counts - round(5e-3 / COUNT_M))
+    touching.wrong = lambda seen: seen._replace(encoder_counts=seen.encoder_counts - round(5e-3 / COUNT_M))
     outcome = play(*check)
     assert f"mine.toml: {OTHER_START}" in outcome.out
     assert "transopt-play zero --port desk --device mine.toml" in outcome.out

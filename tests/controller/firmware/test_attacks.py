@@ -290,7 +290,7 @@ def test_too_few_readings_are_no_rest(start: Start) -> None:
     assert talker.refused(m.Pulse(0.05, 20, 0)) is Reason.NOT_AT_REST
     talker.step(1)
     talker.done(arm(SETTINGS, IMAGE))
-    talker.step(1, replace(REST, emergency_stop=True))
+    talker.step(1, REST._replace(emergency_stop=True))
     talker.step(30)
     talker.tell(m.Reset())
     assert talker.refused(arm(SETTINGS, IMAGE)) is Reason.NOT_AT_REST
@@ -312,7 +312,7 @@ def test_the_amplifier_has_power_only_while_armed_or_pulsing(start: Start) -> No
     talker.done(arm(SETTINGS, IMAGE))
     talker.step()
     assert talker.device.enabled
-    talker.step(1, replace(REST, emergency_stop=True))
+    talker.step(1, REST._replace(emergency_stop=True))
     assert not talker.device.enabled
 
 
@@ -360,7 +360,7 @@ def test_three_stops_have_three_names(start: Start) -> None:
     for how, fault in stops.items():
         talker = Talker(start())
         talker.configured()
-        assert talker.step(1, replace(REST, **{how: True})).state is State.FAULT
+        assert talker.step(1, REST._replace(**{how: True})).state is State.FAULT
         assert talker.device.look().fault is fault
     talker = Talker(start())
     talker.configured().tell(m.EmergencyStop())
@@ -389,7 +389,7 @@ def test_holds_that_are_not_yet_late_pass_the_limit_by_no_more_than_is_stated(st
     talker.done(arm(settings, image), m.Start(0))
     flows_A, found_A = 0.0, []
     for _ in range(120):
-        output = talker.step(1, replace(REST, current_A=flows_A))
+        output = talker.step(1, REST._replace(current_A=flows_A))
         rises = output.command_A > 0.99 * first_A
         keep = fast ** (1.49 if rises else 1.0)
         flows_A = keep * flows_A + (1 - keep) * output.command_A
@@ -415,7 +415,7 @@ def test_a_configuration_knows_the_current_that_still_flows(start: Start) -> Non
     def step(ticks: int) -> None:
         nonlocal true_A, most_A
         for _ in range(ticks):
-            output = talker.step(1, replace(REST, current_A=true_A))
+            output = talker.step(1, REST._replace(current_A=true_A))
             true_A = keep * true_A + (1 - keep) * output.command_A
             most_A = max(most_A, abs(true_A))
 

@@ -36,9 +36,9 @@ def test_arm_is_refused_for_each_reason_in_turn() -> None:
     assert bench.refused(ARM) is Reason.PULSING
     bench.step(RESTS + 10)
     for k in range(40):
-        bench.step(1, replace(REST, encoder_counts=200 - k))
+        bench.step(1, REST._replace(encoder_counts=200 - k))
     assert bench.refused(ARM) is Reason.NOT_AT_REST
-    bench.step(40, replace(REST, encoder_counts=161))
+    bench.step(40, REST._replace(encoder_counts=161))
     assert bench.device.state is State.IDLE
     bench.done(ARM)
     assert bench.device.state is State.ARMED
@@ -132,7 +132,7 @@ def test_a_pulse_is_small_short_and_told() -> None:
     ]
     bench.done(m.Pulse(0.1, 200, 0))
     bench.step(RESTS + 3)
-    output = bench.step(1, replace(REST, emergency_stop=True))
+    output = bench.step(1, REST._replace(emergency_stop=True))
     assert (output.command_A, output.state) == (0.0, State.FAULT)
     assert bench.step().command_A == 0.0
     codes = [x.code for x in bench.heard() if isinstance(x, m.Event)]
@@ -154,7 +154,7 @@ def test_emergency_stop_without_configuration_latches() -> None:
     assert bench.step().state is State.FAULT
     assert bench.device.look().fault is Fault.HOST_STOP
     assert bench.refused(m.ConfigureCommit(HASHES[0])) is Reason.FAULT_LATCHED
-    bench.step(1, replace(REST, emergency_stop=True))
+    bench.step(1, REST._replace(emergency_stop=True))
     assert bench.refused(m.Reset()) is Reason.FAULT_REMAINS
     bench.step()
     bench.done(m.Reset())
@@ -163,8 +163,8 @@ def test_emergency_stop_without_configuration_latches() -> None:
 
 def test_what_goes_wrong_beside_a_latched_fault_bars_the_reset() -> None:
     bench = Talker().configured()
-    bench.step(1, replace(REST, emergency_stop=True))
-    bench.step(1, replace(REST, grip_N=100.0))
+    bench.step(1, REST._replace(emergency_stop=True))
+    bench.step(1, REST._replace(grip_N=100.0))
     assert bench.device.look().fault is Fault.EMERGENCY_STOP
     assert bench.refused(m.Reset()) is Reason.FAULT_REMAINS
     bench.step()
@@ -227,7 +227,7 @@ def test_events_are_repeated_until_acknowledged_and_only_while_somebody_listens(
 
 def test_the_event_queue_counts_what_it_loses() -> None:
     bench = Talker()
-    pressed, sent = replace(REST, emergency_stop=True), list[int]()
+    pressed, sent = REST._replace(emergency_stop=True), list[int]()
     for _ in range(80):
         bench.step(1, pressed)
         bench.step()

@@ -37,9 +37,9 @@ def test_a_surface_that_moves_over_the_stylus_engages_no_wall(start: Start) -> N
             assert not np.any(commands)
     # The stylus goes out by itself and comes back: then the wall pushes, as it has to.
     for counts in (*range(REST.encoder_counts, 640, 2), *range(640, 602, -2)):
-        output = talker.step(1, replace(REST, encoder_counts=counts))
+        output = talker.step(1, REST._replace(encoder_counts=counts))
     assert not output.feedback_A
-    pushed = [talker.step(1, replace(REST, encoder_counts=k)).feedback_A for k in range(602, 580, -2)]
+    pushed = [talker.step(1, REST._replace(encoder_counts=k)).feedback_A for k in range(602, 580, -2)]
     assert max(pushed) > 1.0
 
 
@@ -48,14 +48,14 @@ def test_a_surface_is_not_moved_under_a_wall_that_pushes(start: Start) -> None:
     talker = over(start, Wall(4000.0, 1.0, 1.25, 1, 500.0), 100)
     feedback_A = 0.0
     for counts in (*np.repeat(range(REST.encoder_counts, -20, -1), 10), *[-20] * 20):
-        feedback_A = talker.step(1, replace(REST, encoder_counts=int(counts), current_A=feedback_A)).feedback_A
+        feedback_A = talker.step(1, REST._replace(encoder_counts=int(counts), current_A=feedback_A)).feedback_A
     answer = talker.ask(m.Surface(-20.0))
     assert isinstance(answer, m.Refused)
     assert REASONS[answer.reason] is Reason.WALL_PUSHES
     assert answer.value == pytest.approx(feedback_A, rel=0.01)
-    assert talker.step(1, replace(REST, encoder_counts=-20, current_A=feedback_A)).feedback_A > 1.0
+    assert talker.step(1, REST._replace(encoder_counts=-20, current_A=feedback_A)).feedback_A > 1.0
     for counts in np.repeat(range(-20, 5), 10):
-        feedback_A = talker.step(1, replace(REST, encoder_counts=int(counts), current_A=feedback_A)).feedback_A
+        feedback_A = talker.step(1, REST._replace(encoder_counts=int(counts), current_A=feedback_A)).feedback_A
     talker.done(m.Surface(-20.0))
 
 
@@ -68,5 +68,5 @@ def test_a_surface_that_moves_plays_no_contact_that_the_stylus_did_not_make(star
     for tick in range(120):
         if tick == 60:
             talker.tell(m.Surface(REST.encoder_counts - 0.5 * tick + 3.0))
-        states.add(talker.step(1, replace(REST, encoder_counts=REST.encoder_counts - tick // 2)).state)
+        states.add(talker.step(1, REST._replace(encoder_counts=REST.encoder_counts - tick // 2)).state)
     assert State.PLAYING not in states

@@ -54,7 +54,7 @@ class Ring:
 def run(bench: Talker, ticks: int) -> None:
     """Let ticks pass, of which the accelerometer tells the numbers; nothing is sent."""
     for _ in range(ticks):
-        bench.step(1, replace(REST, acceleration_m_s2=float(bench.tick)))
+        bench.step(1, REST._replace(acceleration_m_s2=float(bench.tick)))
 
 
 def say(bench: Talker, message: Packed) -> list[int]:

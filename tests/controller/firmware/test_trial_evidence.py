@@ -218,15 +218,15 @@ def test_a_trial_is_of_one_library(start: Start) -> None:
 
 STILL = Readings(0, 204, 3.0, 0.0, 0.0)
 OF_CABLES = {
-    Fault.BAD_SENSOR: replace(STILL, current_A=math.nan),
-    Fault.ENCODER_JUMP: replace(STILL, encoder_counts=704),
-    Fault.OVER_CURRENT: replace(STILL, current_A=5.5),
-    Fault.WRONG_CURRENT: replace(STILL, current_A=2.0),
+    Fault.BAD_SENSOR: STILL._replace(current_A=math.nan),
+    Fault.ENCODER_JUMP: STILL._replace(encoder_counts=704),
+    Fault.OVER_CURRENT: STILL._replace(current_A=5.5),
+    Fault.WRONG_CURRENT: STILL._replace(current_A=2.0),
 }
 OF_OTHERS = {
-    Fault.EMERGENCY_STOP: replace(STILL, emergency_stop=True),
-    Fault.LATE_TICK: replace(STILL, late=True),
-    Fault.GRIP_OPEN: replace(STILL, grip_N=math.nan),
+    Fault.EMERGENCY_STOP: STILL._replace(emergency_stop=True),
+    Fault.LATE_TICK: STILL._replace(late=True),
+    Fault.GRIP_OPEN: STILL._replace(grip_N=math.nan),
 }
 
 

@@ -38,7 +38,7 @@ def heated_C(current_A: float) -> tuple[float, float]:
 )
 def test_the_hardwares_guard_counts_whatever_is_measured(single: Start, measured_A: float, flows_A: float) -> None:
     talker = Talker(single(heat_C=(30.0, 30.0)))
-    talker.step(HEAT_TICKS, replace(REST, current_A=measured_A))
+    talker.step(HEAT_TICKS, REST._replace(current_A=measured_A))
     assert talker.device.coil_C() == pytest.approx(heated_C(flows_A), abs=0.5)
 
 
@@ -64,7 +64,7 @@ def test_a_current_that_nobody_commanded_is_a_fault_in_every_state(
     talker = resting(single())
     if armed:
         talker.done(ARM)
-    flowing = replace(REST, current_A=flows_A)
+    flowing = REST._replace(current_A=flows_A)
     talker.step(round(WRONG_CURRENT_S / DT_S) - 1, flowing)
     assert talker.device.look().fault is None
     talker.step(1, flowing)
@@ -82,7 +82,7 @@ def test_a_current_that_nobody_commanded_is_a_fault_in_every_state(
 def test_a_monitor_with_an_honest_offset_is_no_fault(single: Start, offset_A: float) -> None:
     talker = resting(single())
     talker.done(ARM)
-    talker.step(1000, replace(REST, current_A=offset_A))
+    talker.step(1000, REST._replace(current_A=offset_A))
     assert talker.device.state is State.ARMED
 
 
@@ -91,9 +91,9 @@ def test_nothing_is_powered_while_a_current_flows(single: Start, request_: Packe
     """Refused before it is a fault, with what flows, and granted once it is gone."""
     talker = resting(single())
     # One reading may be noise.
-    talker.step(FEWEST_TICKS - 1, replace(REST, current_A=2.0))
+    talker.step(FEWEST_TICKS - 1, REST._replace(current_A=2.0))
     talker.step(1)
-    talker.step(FEWEST_TICKS, replace(REST, current_A=2.0))
+    talker.step(FEWEST_TICKS, REST._replace(current_A=2.0))
     answer = talker.ask(request_)
     assert isinstance(answer, m.Refused)
     assert (REASONS[answer.reason], answer.value) == (Reason.CURRENT_FLOWS, pytest.approx(2.0))
@@ -110,14 +110,14 @@ def test_a_wall_that_pushes_is_no_uncommanded_current(start: Start) -> None:
     flows_A = most_A = 0.0
     for tick in range(3000):
         counts = 200 - min(tick // 10, 250)
-        command_A = talker.step(1, replace(REST, encoder_counts=counts, current_A=1.1 * flows_A)).command_A
+        command_A = talker.step(1, REST._replace(encoder_counts=counts, current_A=1.1 * flows_A)).command_A
         flows_A = keep * flows_A + (1 - keep) * command_A
         most_A = max(most_A, flows_A)
     assert talker.device.state is State.ARMED
     assert most_A > 1.0
     # It stays on when nothing commands it any more.
     talker.tell(m.Disarm())
-    talker.step(30, replace(REST, encoder_counts=-50, current_A=flows_A))
+    talker.step(30, REST._replace(encoder_counts=-50, current_A=flows_A))
     assert talker.device.look().fault is Fault.WRONG_CURRENT
 
 
@@ -127,6 +127,6 @@ def test_a_test_pulse_of_a_wrong_amplifier_is_judged_by_its_evidence(start: Star
     talker.done(m.Pulse(0.1, 150, 0))
     flows_A = 0.0
     for _ in range(REST_PULSE_TICKS + 200):
-        flows_A = 8 * talker.step(1, replace(REST, current_A=flows_A)).command_A
+        flows_A = 8 * talker.step(1, REST._replace(current_A=flows_A)).command_A
     assert talker.device.state is State.IDLE
     assert EVENT_CODES[LinkNotice.PULSE_ENDED] in [x.code for x in talker.heard() if isinstance(x, m.Event)]

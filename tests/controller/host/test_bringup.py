@@ -82,7 +82,7 @@ def test_a_sound_device_passes_every_step_and_may_then_be_armed(desk: Desk, chec
 
 
 def changed(**by: Callable[[Readings], float]) -> Wrong:
-    return lambda readings: replace(readings, **{name: value(readings) for name, value in by.items()})  # type: ignore[arg-type]
+    return lambda readings: readings._replace(**{name: value(readings) for name, value in by.items()})  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,7 @@ def test_the_emergency_stop_has_to_come_out_again(desk: Desk, check: Check) -> N
 def test_polarity(desk: Desk, request: pytest.FixtureRequest, motor: float) -> None:
     """Motor leads that are reversed behind the current monitor; a motor cable that is out."""
     desk.motor = motor
-    desk.wrong = lambda readings: replace(readings, current_A=readings.current_A * (motor or 1.0))
+    desk.wrong = lambda readings: readings._replace(current_A=readings.current_A * (motor or 1.0))
     found = result(request.getfixturevalue("check"), "polarity")
     assert found.passed is False, found.seen
     if motor == -1.0:
