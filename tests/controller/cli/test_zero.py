@@ -16,7 +16,6 @@ from tests.benches.commands import Run, assert_refused
 from tests.benches.desk import PORT, START_M, Desk
 
 COUNT_M = 24.5e-6
-LEFT_OUT = [word for name in ("encoder", "emergency-stop", "grip-zero") for word in ("--skip", name)]
 OTHER_START = "the surface was measured at another start"
 
 
@@ -50,7 +49,7 @@ def test_the_surface_is_stored_with_the_owners_words(play: Run, touching: Desk) 
 def test_a_surface_of_another_start_is_named_by_the_check(play: Run, touching: Desk) -> None:
     """An encoder counts from where it starts: here 5 mm above where it did when the surface was measured."""
     Path("mine.toml").write_text("[encoder]\nsurface_counts = 500.0\n")
-    check = ("check", "library.npz", *PORT, "--device", "mine.toml", *LEFT_OUT)
+    check = ("check", "library.npz", *PORT, "--device", "mine.toml", "--step", "current-offset")
     assert play("zero", *PORT, "--device", "mine.toml").code == 0
     touching.obeys["hold"]()
     touching.hand.back(touching.now_s())
