@@ -45,6 +45,15 @@ def call(*arguments: object) -> tuple[int, str, Exception | None]:
     return result.exit_code, result.output, result.exception if isinstance(result.exception, InputError) else None
 
 
+@pytest.fixture(scope="module")
+def plain(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The model file without further options, and what the command says."""
+    out = tmp_path_factory.mktemp("plain") / "MODEL.json"
+    code, output, _ = call(*sorted(folder.glob("sweep_*")), "--out", out, "--kind", "drive")
+    assert code == 0, output
+    return out, output
+
+
 def test_the_command_writes_model_and_figure(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "MODEL.json"
     burst = folder / "burst_3N.npz"
@@ -59,22 +68,20 @@ def test_the_command_writes_model_and_figure(folder: Path, tmp_path: Path) -> No
     assert part.kind == "drive"
     assert part.nrmse.keys() == {"3"}
     assert (tmp_path / "MODEL_device.png").read_bytes()[:4] == b"\x89PNG"
-    code, output, _ = call(*sorted(folder.glob("sweep_*")), "--out", out, "--kind", "drive")
-    assert code == 0, output
+
+
+def test_what_comes_next_is_said(plain: tuple[Path, str]) -> None:
+    out, output = plain
     assert f"next: transopt solve --model {out}\n" in output
     assert output.rstrip().endswith(f'above its first [table] (all that it states may stay):\nmodel_file = "{out}"')
 
 
-def test_a_force_per_ampere_scales_the_masses(folder: Path, tmp_path: Path) -> None:
-    files = sorted(folder.glob("sweep_*"))
-    masses = []
-    for force in (1.25, 2.5):
-        out = tmp_path / f"{force}.json"
-        assert call(*files, "--out", out, "--kind", "drive", "--force-per-current", force)[0] == 0
-        part = load_model(out).device
-        assert part.kind == "drive"
-        masses.append(part.moving_mass_kg)
-    assert masses[1] == pytest.approx(2 * masses[0], rel=1e-3)
+def test_a_force_per_ampere_scales_the_masses(folder: Path, plain: tuple[Path, str], tmp_path: Path) -> None:
+    files, out = sorted(folder.glob("sweep_*")), tmp_path / "2.5.json"
+    assert call(*files, "--out", out, "--kind", "drive", "--force-per-current", 2.5)[0] == 0
+    scenes, twice = (load_model(path).device for path in (plain[0], out))
+    assert scenes.kind == twice.kind == "drive"
+    assert twice.moving_mass_kg == pytest.approx(2 * scenes.moving_mass_kg, rel=1e-3)
 
 
 @pytest.mark.parametrize(
