@@ -1,7 +1,5 @@
 """Methods whose native code is lost end in an answer that says so; bounds on J and of limits."""
 
-import os
-import threading
 from copy import copy
 from dataclasses import replace
 
@@ -11,6 +9,7 @@ import pytest
 from problems.stress.cases import StressCase
 from problems.stress.draw import drawn
 from problems.stress.parts import Coil, Current, Demand, Horizon, Surface
+from tests.benches.endings import dies, waits
 from tests.conftest import ProblemMaker
 from transopt.base import apart
 from transopt.base.errors import InputError
@@ -27,16 +26,6 @@ from transopt.solvers.options import SolverOptions
 from transopt.solvers.stage_data import stages
 
 FALLBACKS = ("casadi-piqp", "casadi-ipopt")
-
-
-def dies(*_: object) -> None:
-    """End the process, as native code does that writes outside its memory."""
-    os._exit(134)
-
-
-def waits(*_: object) -> None:
-    """Wait for ever, as native code does that finds no end to its search."""
-    threading.Event().wait()
 
 
 @pytest.fixture

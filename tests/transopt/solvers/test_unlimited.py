@@ -1,6 +1,5 @@
 """The unlimited optimum: the Riccati pass against least squares, the sparse system, solvers, on extreme devices."""
 
-import threading
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -10,6 +9,7 @@ import pytest
 
 from problems.stress.cases import StressCase
 from problems.stress.draw import drawn
+from tests.benches.endings import waits
 from tests.benches.limits import with_numbers
 from tests.conftest import ProblemMaker, WalledMaker
 from transopt.base.signals import FloatArray
@@ -302,11 +302,6 @@ def test_a_gap_that_is_only_rounding_asks_no_other_method(monkeypatch: pytest.Mo
     monkeypatch.setattr(unlimited, "solve_apart", asked)
     found = unlimited.solve([problem])[0]
     assert certify(problem, found.command, found.multipliers).is_stationary
-
-
-def waits(*_: object) -> None:
-    """Wait for ever, as native code does that finds no end to its work."""
-    threading.Event().wait()
 
 
 def test_a_sparse_system_without_an_end_is_given_up(
