@@ -168,7 +168,6 @@ GIVEN = {
     "a fault if it was held at START (over 0.6 N)": "a rule of the simulated device",
     "a fault after 0.15 A s": "the servo's `stuck_A_s`",
     "have peaks of 3 to 20 g on wood, metal and rubber": "what people measure on objects of their own",
-    "`a0` above 2 m/s²": "a rule of thumb",
     "approach steadily over 30 mm": "an instruction",
     "From 25 ms to 10 s long": "a rule for recordings",
     "over 40 ms within 110 ms of contact": "two bounds in one",

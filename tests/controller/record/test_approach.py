@@ -66,7 +66,7 @@ class Misread(Simulator):
 
     def readings(self) -> Readings:
         r = super().readings()
-        return replace(r, encoder_counts=round(self.times * r.encoder_counts))
+        return r._replace(encoder_counts=round(self.times * r.encoder_counts))
 
 
 def last_contact(library: Library, user: User, device: TrueDevice = DEFAULT_DEVICE, encoder: float = 1.0) -> Contact:
