@@ -218,7 +218,7 @@ def protocol_page() -> str:
     page += "## Requests: when they are granted\n\n" + _table(("request", "answer", "states", "refused for"), asked)
     page += "## Reasons of REFUSED\n\n" + _table(
         ("code", "name", "unit of value", "meaning"),
-        [(str(c), r.name, REFUSED_UNITS.get(r, "").strip(), r.value) for c, r in REASONS.items()],
+        [(str(c), r.name, REFUSED_UNITS.get(r, ""), r.value) for c, r in REASONS.items()],
     )
     page += "## States, events, stages of evidence\n\n"
     page += ", ".join(f"{code} {state.name}" for code, state in enumerate(STATES)) + ".\n\n"

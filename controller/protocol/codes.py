@@ -85,13 +85,13 @@ class Reason(Enum):
 
 # Unit of the number that a refusal states, where it can be of one kind only.
 REFUSED_UNITS = {
-    Reason.NOT_AT_REST: " m/s",
-    Reason.TOO_HOT: " C",
-    Reason.BAD_LEASE: " ms",
-    Reason.OVER_LIMIT: " A",
-    Reason.BAD_TIMING: " s",
-    Reason.CURRENT_FLOWS: " A",
-    Reason.WALL_PUSHES: " A",
+    Reason.NOT_AT_REST: "m/s",
+    Reason.TOO_HOT: "C",
+    Reason.BAD_LEASE: "ms",
+    Reason.OVER_LIMIT: "A",
+    Reason.BAD_TIMING: "s",
+    Reason.CURRENT_FLOWS: "A",
+    Reason.WALL_PUSHES: "A",
 }
 
 

@@ -53,7 +53,8 @@ class Refused:
     value: float
 
     def __str__(self) -> str:
-        seen = "" if self.value != self.value else f" (device saw {self.value:g}{REFUSED_UNITS.get(self.reason, '')})"
+        number = f"{self.value:g} {REFUSED_UNITS.get(self.reason, '')}".rstrip()
+        seen = "" if self.value != self.value else f" (device saw {number})"
         return f"{self.request.name.lower().replace('_', ' ')} refused: {self.reason.value}{seen}"
 
 

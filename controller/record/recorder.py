@@ -80,7 +80,9 @@ class Contact:
     @property
     def spoilt(self) -> str:
         """Reason why neither its figures nor a file of it count; empty if they do."""
-        return f"{self.missed} records were lost" if self.missed else f"cut short: {self.cut}" if self.cut else ""
+        if self.missed:
+            return f"{self.missed} records were lost"
+        return f"cut short: {self.cut}" if self.cut else ""
 
 
 class Recorder:
