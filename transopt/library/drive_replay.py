@@ -21,7 +21,7 @@ from transopt.base.signals import FloatArray
 from transopt.library.drive import Drive, Driver
 from transopt.library.library import Library
 from transopt.library.trade import TradeFigures, entry_trade
-from transopt.plant.discretise import StageModel, discretise
+from transopt.plant.discretise import discretise
 from transopt.plant.nonlinear_stage import NonlinearStage, resolved
 from transopt.plant.time_grid import TimeGrid
 from transopt.problem.limits import posed
@@ -77,45 +77,16 @@ def _within(grid: TimeGrid, driver: Driver) -> tuple[NDArray[np.intp], FloatArra
     return sample, np.round(np.maximum(periods - sample, 0.0), SAME)
 
 
-@dataclass(frozen=True)
-class _Instants:
-    """Map from the states at the driver's samples to y'' at given instants: rows C e^(A theta) and direct terms.
-
-    Attributes
-    ----------
-    stage : device over one period of the driver.
-    sample : (K,) index of the driver's sample held at each instant.
-    rows : (K, n) [m/s^2 per unit of the state].
-    direct : (K,) effect of the held sample [m/s^2 per A or V].
-    """
-
-    stage: StageModel
-    sample: NDArray[np.intp]
-    rows: FloatArray
-    direct: FloatArray
-
-    @classmethod
-    def of(cls, library: Library, ig: int, driver: Driver) -> "_Instants":
-        """The map at the instants tau_0 to tau_(N+M-1); the driver's first sample acts from tau_0 on."""
-        plant, amplifier = library.plant(ig), library.amplifier()
-        stage = discretise(plant, amplifier, 1 / driver.rate_Hz)
-        sample, share = _within(library.time_grid(), driver)
-        parts, of_part = np.unique(share, return_inverse=True)
-        rows, direct = [], []
-        for part in parts:
-            A, B = np.eye(stage.A.shape[0]), np.zeros_like(stage.B)
-            if part > 0:
-                within = discretise(plant, amplifier, part / driver.rate_Hz)
-                A, B = within.A, within.B
-            rows.append((stage.C @ A)[0])
-            direct.append(float((stage.C @ B + stage.D)[0, 0]))
-        return cls(stage, sample, np.array(rows)[of_part], np.array(direct)[of_part])
-
-    def accelerations(self, values: FloatArray) -> FloatArray:
-        """(K,) y'' for a driver's output (m,), which is zero afterwards."""
-        output = _lasting(values, self.sample)
-        states = self.stage.states(output)[self.sample]
-        return np.asarray((self.rows * states).sum(axis=1) + self.direct * output[self.sample])
+def _linear_accelerations(library: Library, drive: Drive) -> FloatArray:
+    """(N + M,) y'' of a drive on the linear plant at one grip, at the design's instants."""
+    plant, amplifier, driver = library.plant(drive.ig), library.amplifier(), drive.driver
+    stage, (sample, share) = discretise(plant, amplifier, 1 / driver.rate_Hz), _within(library.time_grid(), driver)
+    output = _lasting(drive.values, sample)
+    states, held = stage.states(output)[sample], output[sample]
+    for part in np.unique(share[share > 0]):
+        at, within = share == part, discretise(plant, amplifier, float(part) / driver.rate_Hz)
+        states[at] = states[at] @ within.A.T + held[at, None] * within.B[:, 0]
+    return np.asarray(states @ stage.C[0] + held * stage.D[0, 0])
 
 
 def _lasting(values: FloatArray, sample: NDArray[np.intp]) -> FloatArray:
@@ -198,15 +169,10 @@ def limits_left(library: Library, drive: Drive) -> tuple[str, ...]:
 
 def played(library: Library, drives: Sequence[Drive]) -> list[PlayedDrive]:
     """Replay drives of a library, all for the same driver."""
-    instants: dict[int, _Instants] = {}
+    accelerations = _nonlinear_accelerations if library.nonlinear else _linear_accelerations
     found = []
     for drive in drives:
-        if library.nonlinear:
-            acceleration = _nonlinear_accelerations(library, drive)
-        else:
-            if drive.ig not in instants:
-                instants[drive.ig] = _Instants.of(library, drive.ig, drive.driver)
-            acceleration = instants[drive.ig].accelerations(drive.values)
+        acceleration = accelerations(library, drive)
         found_figures = library.yardstick.figures(library.uncorrected(drive.iv, drive.ig), acceleration)
         found.append(
             PlayedDrive(
