@@ -5,7 +5,6 @@ Eq. 2). A law of yielding describes what follows. All motions here are per m/s o
 straight line -v t.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -47,7 +46,7 @@ class Phase:
     decay_1_s: float = 0.0
 
     def after(self, u: float, rate: float, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """u, u' and u'' at times t after the beginning, where u and u' = `rate` are given, the jump included."""
+        """u, u' and u'' at times t (...) after the beginning, from u and u' = `rate` there, the jump included."""
         if self.decay_1_s == 0:
             return u + rate * t + self.rate_1_s * t**2 / 2, rate + self.rate_1_s * t, np.full(t.shape, self.rate_1_s)
         d, end = self.decay_1_s, self.rate_1_s / self.decay_1_s
@@ -84,18 +83,24 @@ class Intention:
                 return (straight, Phase(T, rate_1_s=2 / PULLING_S), Phase(T + PULLING_S))
         return (straight, Phase(T, rate_1_s=1 / BRAKING_S), Phase(T + BRAKING_S))
 
+    @cached_property
+    def begun(self) -> list[tuple[float, float, Phase]]:
+        """u and u' at the beginning of every phase, u' with its jump, and the phase."""
+        found, u, rate = list[tuple[float, float, Phase]](), 0.0, 0.0
+        for phase in self.phases:
+            if found:
+                u, rate, before = found[-1]
+                way, slope, _ = before.after(u, rate, np.array(phase.start_s - before.start_s))
+                u, rate = float(way), float(slope)
+            found.append((u, rate + phase.jump, phase))
+        return found
+
     def motion(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(K,) u, u' and u'' each at times after contact, zero before it; u'' is without the jumps of u'."""
         found = np.zeros((3, times_s.size))
-        phases, u, rate = self.phases, 0.0, 0.0
-        ends = [*(phase.start_s for phase in phases[1:]), np.inf]
-        for phase, end in zip(phases, ends, strict=True):
-            rate += phase.jump
-            inside = (times_s >= phase.start_s) & (times_s < end)
-            found[:, inside] = phase.after(u, rate, times_s[inside] - phase.start_s)
-            if np.isfinite(end):
-                last = phase.after(u, rate, np.array([end - phase.start_s]))
-                u, rate = float(last[0][0]), float(last[1][0])
+        for u, rate, phase in self.begun:
+            later = times_s >= phase.start_s
+            found[:, later] = phase.after(u, rate, times_s[later] - phase.start_s)
         return found[0], found[1], found[2]
 
 
@@ -114,18 +119,6 @@ class Path:
     intention: Intention = Intention()
     incoming_m_s2: float = 0.0
 
-    @cached_property
-    def _phases(self) -> list[tuple[float, float, float, Phase]]:
-        """Start, u and u' of every phase, u' with its jump."""
-        found, u, rate = list[tuple[float, float, float, Phase]](), 0.0, 0.0
-        for phase in self.intention.phases:
-            if found:
-                start, u, rate, before = found[-1]
-                way, slope, _ = before.after(u, rate, np.array([phase.start_s - start]))
-                u, rate = float(way[0]), float(slope[0])
-            found.append((phase.start_s, u, rate + phase.jump, phase))
-        return found
-
     def at(self, time_s: float) -> float:
         """Intended position along the surface normal [m], positive outwards."""
         v, a, T = self.speed_m_s, self.incoming_m_s2, self.intention.intention_s
@@ -135,14 +128,9 @@ class Path:
         z = -v * time_s + a * carried**2 / 2 + a * carried * (time_s - carried)
         if time_s <= T:
             return z
-        start, u, rate, phase = next(each for each in reversed(self._phases) if each[0] <= time_s)
-        t = time_s - start
-        if phase.decay_1_s == 0:
-            u += rate * t + phase.rate_1_s * t**2 / 2
-        else:
-            end = phase.rate_1_s / phase.decay_1_s
-            u += end * t - (rate - end) * math.expm1(-phase.decay_1_s * t) / phase.decay_1_s
-        return z + (v - a * T) * u
+        u, rate, phase = next(each for each in reversed(self.intention.begun) if each[2].start_s <= time_s)
+        way, _, _ = phase.after(u, rate, np.array(time_s - phase.start_s))
+        return z + (v - a * T) * float(way)
 
 
 class FreeMotion:
