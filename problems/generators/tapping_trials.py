@@ -7,7 +7,7 @@ them.
 """
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from transopt.plant.hand import Hand, LinearInGrip
 from transopt.plant.second_order import SEED_HAND_DAMPING_N_S_M, SEED_HAND_MASS_KG, SEED_HAND_STIFFNESS_N_M
 from transopt.plant.state_space import StateSpace
 from transopt.recordings.settings import SimulatedTaps
-from transopt.scene.strikes import APPROACH_S, ENCODER_COUNT_M, contact_force, rk4_step
+from transopt.scene.strikes import APPROACH_S, ENCODER_COUNT_M, contact_force
 
 STEP_S = 2e-5
 AFTER_S = 45e-3  # recorded time after contact
@@ -95,6 +95,15 @@ class Trials:
     grip_N: FloatArray
     speed_m_s: FloatArray
     accelerometer_Hz: float
+
+
+def rk4_step(rate: Callable[[FloatArray], FloatArray], state: FloatArray, h_s: float) -> FloatArray:
+    """The state after one step of the classical Runge-Kutta method of fourth order."""
+    k1 = rate(state)
+    k2 = rate(state + h_s / 2 * k1)
+    k3 = rate(state + h_s / 2 * k2)
+    k4 = rate(state + h_s * k3)
+    return state + h_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
 def surface() -> SimulatedTaps:

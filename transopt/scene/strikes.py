@@ -1,6 +1,6 @@
 """Simulates the recordings of a scene: its device, not driven, strikes an object that the scene states."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -23,15 +23,6 @@ ENCODER_COUNT_M = 24.5e-6
 GRIP_STEP_N = 1e-6  # rounding of a grip where it seeds the random numbers
 LIGHT_N = 1.0  # grip of the hand that strikes in a scene of a free stylus
 STRAIGHT = Intention(yields="straight")
-
-
-def rk4_step(rate: Callable[[FloatArray], FloatArray], state: FloatArray, h_s: float) -> FloatArray:
-    """The state after one step of the classical Runge-Kutta method of fourth order."""
-    k1 = rate(state)
-    k2 = rate(state + h_s / 2 * k1)
-    k3 = rate(state + h_s / 2 * k2)
-    k4 = rate(state + h_s * k3)
-    return state + h_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
 def contact_force(target: SimulatedTaps, depth_m: FloatArray, closing_m_s: FloatArray) -> FloatArray:

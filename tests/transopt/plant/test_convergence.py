@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
+from problems.generators.tapping_trials import rk4_step
 from problems.stress.cases import StressCase
 from problems.stress.families import SMALL_A
 from problems.stress.parts import Current, Demand, DrawnDevice, Horizon
@@ -18,7 +19,6 @@ from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify
 from transopt.proof.continuous import _step_maps
-from transopt.scene.strikes import rk4_step
 from transopt.solvers.options import SolverOptions
 
 DIGITS = 60
