@@ -26,6 +26,8 @@ from transopt.plant.state_space import StateSpace
 T = TypeVar("T")
 PERIOD = " the period"  # suffix of the names of outputs that depend on the command c_k at stage k
 AFTER = f" after{PERIOD}"  # suffix of an output's value at the next switching instant
+COURSES = ("acceleration_m_s2", "plant_input", "velocity_m_s", "encoder_m")  # of a motion
+MATRICES = ("A", "B", "C", "D", "Ci", "Di", "Cv", "Cp", "Dp")  # of a stage model
 
 
 def within(name: str, share: Fraction) -> str:
@@ -75,13 +77,8 @@ class Motion:
 
     def _each(self, change: Callable[[FloatArray], FloatArray]) -> "Motion":
         """The motion with each of its courses changed alike."""
-        return Motion(
-            change(self.acceleration_m_s2),
-            change(self.plant_input),
-            change(self.velocity_m_s),
-            change(self.encoder_m),
-            {name: change(values) for name, values in self.outputs.items()},
-        )
+        courses = {name: change(getattr(self, name)) for name in COURSES}
+        return Motion(**courses, outputs={name: change(values) for name, values in self.outputs.items()})
 
     def of_motor(self, motor: int) -> "Motion":
         """The motion with the input and the velocity of one of several motors."""
@@ -91,13 +88,9 @@ class Motion:
     @classmethod
     def stacked(cls, motions: Sequence["Motion"]) -> "Motion":
         """Several motions, one along each course of a new first axis."""
-        return cls(
-            np.stack([motion.acceleration_m_s2 for motion in motions]),
-            np.stack([motion.plant_input for motion in motions]),
-            np.stack([motion.velocity_m_s for motion in motions]),
-            np.stack([motion.encoder_m for motion in motions]),
-            {name: np.stack([motion.outputs[name] for motion in motions]) for name in motions[0].outputs},
-        )
+        courses = {name: np.stack([getattr(motion, name) for motion in motions]) for name in COURSES}
+        outputs = {name: np.stack([motion.outputs[name] for motion in motions]) for name in motions[0].outputs}
+        return cls(**courses, outputs=outputs)
 
     def of_course(self, course: int) -> "Motion":
         """One of several motions."""
@@ -151,8 +144,9 @@ class StageModel:
     __repr__ = brief
 
     def __post_init__(self) -> None:
-        for name in ("A", "B", "C", "D", "Ci", "Di", "Cv"):
-            vars(self)[name] = read_only(getattr(self, name))
+        for name in MATRICES:
+            if (matrix := getattr(self, name)) is not None:
+                vars(self)[name] = read_only(matrix)
 
     @property
     def motors(self) -> int:
@@ -302,22 +296,9 @@ class StageModel:
         def wide(matrix: FloatArray) -> FloatArray:
             return matrix.astype(np.longdouble)
 
-        return StageModel(
-            self.plant,
-            self.amplifier,
-            self.dt_s,
-            wide(self.A),
-            wide(self.B),
-            wide(self.C),
-            wide(self.D),
-            wide(self.Ci),
-            wide(self.Di),
-            wide(self.Cv),
-            None if self.Cp is None else wide(self.Cp),
-            None if self.Dp is None else wide(self.Dp),
-            {name: wide(row) for name, row in self.outputs.items()},
-            self.instants,
-        )
+        given = {name: getattr(self, name) for name in MATRICES}
+        matrices: dict[str, Any] = {name: wide(matrix) for name, matrix in given.items() if matrix is not None}
+        return replace(self, outputs={name: wide(row) for name, row in self.outputs.items()}, **matrices)
 
     def adjoint(self, gradient: Motion) -> FloatArray:
         """(..., N) or (..., m, N) gradient by the commands for a gradient by the motion.
