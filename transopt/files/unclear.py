@@ -5,7 +5,6 @@ file and asks, or proposes those with which the file can be read (`transopt.cli.
 """
 
 import itertools
-import json
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -16,6 +15,7 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
+from transopt.base.toml import toml_value
 from transopt.files.names import MOST_CHOICES, quote
 from transopt.files.units import UNITS, likely_units
 
@@ -113,19 +113,7 @@ def proposal(answer: Answer) -> str:
 
 def keys(answer: Answer) -> str:
     """The keys of a scene that state an answer."""
-    return ", ".join(f"recordings.{key} = {toml(value)}" for key, value in answer.items())
-
-
-def toml(value: object) -> str:
-    """A value in TOML: as in JSON, except for tables."""
-    if isinstance(value, Mapping):
-        # A key of ASCII letters, digits and underscores needs no quotes.
-        pairs = (
-            (key if key.replace("_", "").isalnum() and key.isascii() else json.dumps(key), one)
-            for key, one in value.items()
-        )
-        return f"{{ {', '.join(f'{key} = {toml(one)}' for key, one in pairs)} }}"
-    return json.dumps(value)
+    return ", ".join(f"recordings.{key} = {toml_value(value)}" for key, value in answer.items())
 
 
 def chosen_channel(channel: int | None, labels: Sequence[str], what: str) -> int:

@@ -13,7 +13,7 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, IndexArray
 from transopt.base.tables import Table
-from transopt.files.unclear import toml
+from transopt.base.toml import toml_value
 from transopt.recordings.approach import UNSEPARATED
 from transopt.recordings.settings import Recordings
 from transopt.recordings.speed import UNKNOWN, seen_speed
@@ -227,7 +227,7 @@ def _lines(
             folder = Path(os.path.relpath(folder, home.resolve()))
     # Strings, numbers and lists have the same spelling in JSON and TOML.
     lines = [f"folder = {json.dumps(folder.as_posix())}", f"files = {json.dumps(files)}"]
-    return grid, [*lines, *(f"{key} = {toml(value)}" for key, value in stated.items())]
+    return grid, [*lines, *(f"{key} = {toml_value(value)}" for key, value in stated.items())]
 
 
 def scene_lines(found: Grid, paths: Sequence[Path], settings: Recordings) -> str:

@@ -25,35 +25,23 @@ from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 
 UNKNOWN = ("moving_mass_kg", "force_factor_N_A", "quality", "R_ohm", "resonance_Hz")
 START = (1.5e-3, 1.0, 10.0, 20.0, 150.0)  # start values of `UNKNOWN`: an LRA of a phone
-# Relative tolerances of the stated numbers; assumed, as datasheets do not state them.
-TOLERANCE: Mapping[str, float] = {
-    "moving_mass_kg": 0.05,
-    "force_factor_N_A": 0.05,
-    "quality": 0.2,
-    "R_ohm": 0.05,
-    "resonance_Hz": 0.02,
-    "rms_A": 0.05,
-    "rms_g": 0.1,
-    "rise_s": 0.2,
-    "brake_s": 0.2,
-    "quality_electrical": 0.1,
-    "quality_total": 0.1,
-    "stiffness_N_m": 0.1,
+# Number of a datasheet -> its name in messages, and its relative tolerance, assumed as datasheets do not state it.
+STATED: Mapping[str, tuple[str, float]] = {
+    "moving_mass_kg": ("moving mass", 0.05),
+    "force_factor_N_A": ("force factor BL", 0.05),
+    "quality": ("quality Q", 0.2),
+    "R_ohm": ("resistance", 0.05),
+    "resonance_Hz": ("resonance f0", 0.02),
+    "rms_A": ("rated current", 0.05),
+    "rms_g": ("rated acceleration", 0.1),
+    "rise_s": ("rise time", 0.2),
+    "brake_s": ("brake time", 0.2),
+    "quality_electrical": ("electrical quality Qes", 0.1),
+    "quality_total": ("total quality Qts", 0.1),
+    "stiffness_N_m": ("stiffness", 0.1),
 }
-WORDS = {
-    "moving_mass_kg": "moving mass",
-    "force_factor_N_A": "force factor BL",
-    "quality": "quality Q",
-    "R_ohm": "resistance",
-    "resonance_Hz": "resonance f0",
-    "rms_A": "rated current",
-    "rms_g": "rated acceleration",
-    "rise_s": "rise time",
-    "brake_s": "brake time",
-    "quality_electrical": "electrical quality Qes",
-    "quality_total": "total quality Qts",
-    "stiffness_N_m": "stiffness",
-}
+WORDS = {key: words for key, (words, _) in STATED.items()}
+TOLERANCE = {key: tolerance for key, (_, tolerance) in STATED.items()}
 CONTRADICTS = 3.0  # largest residual of a number that agrees with the others, in tolerances
 DETERMINED = 1e-3  # least singular value over the largest one for which all unknowns are determined
 UNSURE = 0.5  # relative standard deviation above which a number is reported as a guess
