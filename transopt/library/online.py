@@ -22,6 +22,7 @@ from transopt.base.threads import one_blas_thread
 from transopt.library.library import Library
 from transopt.library.other_limits import with_limits
 from transopt.library.place import Place, Waveform, finite, interpolation_weights
+from transopt.library.proven import bounded
 from transopt.library.standing_tap import MARGIN, StandingTap
 from transopt.plant.coil import HOUSING_C, WINDING_C, CoilModel
 from transopt.plant.discretise import StageModel
@@ -33,7 +34,7 @@ from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.posing import Posing
 from transopt.problem.problem import TransientProblem
 from transopt.problem.wall_ticks import pressing, pressing_under
-from transopt.proof.certify import BINDING_MULTIPLIER, certify, relaxed_bound
+from transopt.proof.certify import BINDING_MULTIPLIER
 from transopt.proof.effect import TEMPERATURE, Effect, boxes_of, inside
 from transopt.solvers.native.extension import (
     ACCURACY,
@@ -353,17 +354,8 @@ class Online:
 
     def _proven(self, effect: Effect, multipliers: Multipliers) -> _Found:
         """A command with its certificate; where the temperature binds, a convex problem bounds J from below."""
-        problem, command = effect.problem, effect.command
-        proof = certified(problem, command, multipliers, effect=effect)
-        if problem.thermal is not None and proof.is_stationary and not np.isfinite(proof.lower_bound):
-            proof = replace(proof, lower_bound=relaxed_bound(effect, multipliers))
-            if not proof.accepted:
-                relaxed = problem.replaced(problem.thermal.relaxed())
-                bound = self._by_interior_point(relaxed)
-                if bound is not None:
-                    lower = certify(relaxed, *bound).lower_bound
-                    proof = replace(proof, lower_bound=max(proof.lower_bound, lower))
-        return _Found(command, proof)
+        proof = certified(effect.problem, effect.command, multipliers, effect=effect)
+        return _Found(effect.command, bounded(effect, multipliers, proof))
 
 
 def _small_enough(given: Stages) -> Stages:

@@ -110,10 +110,10 @@ def _of_grip(library: Library, ig: int) -> Iterator[str]:
 
 def _proofs(answers: Sequence[tuple[Effect, Multipliers]]) -> list[Certificate]:
     proofs = zip(answers, certify_all(answers), strict=True)
-    return [_bounded(effect, multipliers, proof) for (effect, multipliers), proof in proofs]
+    return [bounded(effect, multipliers, proof) for (effect, multipliers), proof in proofs]
 
 
-def _bounded(effect: Effect, multipliers: Multipliers, proof: Certificate) -> Certificate:
+def bounded(effect: Effect, multipliers: Multipliers, proof: Certificate) -> Certificate:
     """A command's certificate; where a limit that is not convex binds, a convex problem bounds J from below."""
     if not proof.is_stationary or np.isfinite(proof.lower_bound):
         return proof

@@ -18,7 +18,7 @@ from transopt.base.errors import InputError
 from transopt.design.build import build_library
 from transopt.design.context import Context
 from transopt.design.optimum import optimum
-from transopt.library import online
+from transopt.library import online, proven
 from transopt.library.library import Library
 from transopt.library.online import Online
 from transopt.proof.certify import certify
@@ -150,7 +150,7 @@ class TestHeat:
         self, solver: Online, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         own = solver.solve(0.4, 5.0, 99.97, 99.97).certificate
-        monkeypatch.setattr(online, "relaxed_bound", lambda effect, multipliers: -np.inf)
+        monkeypatch.setattr(proven, "relaxed_bound", lambda effect, multipliers: -np.inf)
         solved = solver.solve(0.4, 5.0, 99.97, 99.97).certificate
         assert own.lower_bound == pytest.approx(solved.lower_bound, rel=1e-4)
 
