@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from transopt.base.signals import FloatArray
+from transopt.base.signals import FloatArray, IndexArray
 from transopt.identify.fit import Fit, known, quantile
 from transopt.identify.heat_record import (
     COARSEST,
@@ -181,34 +181,21 @@ def _incredible(coil: CoilModel) -> list[str]:
     ]
 
 
-@dataclass(frozen=True)
-class _Steps:
-    """The record merged into few simulation steps: short after each change of the current, then growing.
+def _first_of_steps(record: HeatRecord) -> IndexArray:
+    """(K + 1,) row at which each step of the simulation begins, and the end.
 
-    Attributes
-    ----------
-    heating_A2, lengths_s : (K,) mean heating and length of each step.
-    first : (K + 1,) row at which each step begins, and the end.
+    The record is merged into few steps: short after each change of the current, then growing.
     """
-
-    heating_A2: FloatArray
-    lengths_s: FloatArray
-    first: np.ndarray
-
-    @classmethod
-    def of(cls, record: HeatRecord) -> "_Steps":
-        """The steps of a record."""
-        heat = record.heating_A2[:-1]
-        threshold = LEAST_STEP * heat.max()
-        first, changed, level = [0], 0, heat[0]
-        for k in range(1, heat.size):
-            if abs(heat[k] - level) > threshold:
-                changed, level = k, heat[k]
-                first.append(k)
-            elif k - first[-1] >= max(1.0, _GROWTH * (k - changed)):
-                first.append(k)
-        edges = np.array([*first, heat.size])
-        return cls(np.add.reduceat(heat, edges[:-1]) / np.diff(edges), record.dt_s * np.diff(edges), edges)
+    heat = record.heating_A2[:-1]
+    threshold = LEAST_STEP * heat.max()
+    first, changed, level = [0], 0, heat[0]
+    for k in range(1, heat.size):
+        if abs(heat[k] - level) > threshold:
+            changed, level = k, heat[k]
+            first.append(k)
+        elif k - first[-1] >= max(1.0, _GROWTH * (k - changed)):
+            first.append(k)
+    return np.array([*first, heat.size])
 
 
 class _Misfit(Squares):
@@ -222,7 +209,9 @@ class _Misfit(Squares):
         super().__init__(
             by_differences(lambda sets: np.array([np.append(self.residuals(one), self.prior(one)) for one in sets]))
         )
-        self.record, self.steps = record, _Steps.of(record)
+        self.record, self._first = record, _first_of_steps(record)
+        rows, heat = np.diff(self._first), record.heating_A2[:-1]
+        self._heating_A2, self._lengths_s = np.add.reduceat(heat, self._first[:-1]) / rows, record.dt_s * rows
         channels = {id(each): each for each in (record.winding, record.electrical) if each is not None}
         self._channels = [(0, channel, self._means(channel)) for channel in channels.values()]
         if record.housing is not None:
@@ -230,8 +219,8 @@ class _Misfit(Squares):
 
     def _means(self, channel: Channel) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Per step: total weight, weighted mean temperature, and the mean row's place within the step, 0 to 1."""
-        first, rows = self.steps.first[:-1], np.diff(self.steps.first)
-        n = self.steps.first[-1]
+        first, rows = self._first[:-1], np.diff(self._first)
+        n = self._first[-1]
         weight = channel.weight[:n]
         total = np.add.reduceat(weight, first)
         safe = np.where(total > 0, total, 1.0)
@@ -277,7 +266,7 @@ class _Misfit(Squares):
     def residuals(self, theta: FloatArray) -> FloatArray:
         """Model minus record in each step of each channel, over the noise."""
         coil, stated_ohm = self.coil(theta), self.record.R_ohm
-        courses = coil.simulate(self.steps.heating_A2[None], self.steps.lengths_s)
+        courses = coil.simulate(self._heating_A2[None], self._lengths_s)
         parts = []
         for which, channel, (weight, mean, place) in self._channels:
             course = courses[which][0]
@@ -291,7 +280,7 @@ class _Misfit(Squares):
 
     def over_many_rows(self, theta: FloatArray) -> float:
         """Mean square of the residuals whose temperature is a mean over many rows; 0 if there are few."""
-        long = np.diff(self.steps.first) >= MANY_ROWS
+        long = np.diff(self._first) >= MANY_ROWS
         read = np.concatenate([long & (means[0] > 0) for _, _, means in self._channels])
         return float(np.mean(self.residuals(theta)[read] ** 2)) if np.count_nonzero(read) >= MANY_ROWS else 0.0
 
