@@ -76,8 +76,7 @@ def drive_of(scene: Scene) -> DriveDevice:
             "scene of kind drive, or of a device that `transopt identify device` found as a drive chain"
         )
     tip = scene.drive_at_tip()
-    hand = model.hand.hand()
-    lines = {name: vars(getattr(hand, name)) for name in type(model.hand).model_fields}
+    lines = {name: vars(model.hand.line(name)) for name in type(model.hand).model_fields}
     return DriveDevice.model_validate(
         {
             "kind": "drive",

@@ -22,7 +22,7 @@ from transopt.plant.fourth_order import FourthOrder
 from transopt.plant.hand import HandSection, LinearInGrip
 from transopt.recordings.settings import SimulatedTaps
 from transopt.scene.identified import IdentifiedModel
-from transopt.scene.model_parts import ChainHand, DriveDevice, FourthOrderHand, SecondOrderHand, StateSpaceDevice
+from transopt.scene.model_parts import DriveDevice, FourthOrderHand, SecondOrderHand, StateSpaceDevice
 from transopt.scene.scene import Scene
 
 LETTING_GO_N = 0.2  # below this grip the skin's spring and damper fade to zero; at 0 N nobody holds the stylus
@@ -153,10 +153,9 @@ def device_of(scene: Scene) -> TrueDevice:
         )
     tip = scene.drive_at_tip()
 
-    def held(section: HandSection | ChainHand) -> tuple[LinearInGrip, tuple[Joint, Joint]]:
-        hand = section.hand()
-        skin = Joint(hand.skin_stiffness_N_m, hand.skin_damping_N_s_m)
-        return hand.mass_kg, (skin, Joint(hand.arm_stiffness_N_m, hand.arm_damping_N_s_m))
+    def held(hand: HandSection) -> tuple[LinearInGrip, tuple[Joint, Joint]]:
+        skin = Joint(hand.line("skin_stiffness_N_m"), hand.line("skin_damping_N_s_m"))
+        return hand.line("mass_kg"), (skin, Joint(hand.line("arm_stiffness_N_m"), hand.line("arm_damping_N_s_m")))
 
     masses: tuple[LinearInGrip, ...]
     joints: tuple[Joint, ...]

@@ -19,7 +19,7 @@ from transopt.base.errors import InputError
 from transopt.base.files import whole_file
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.plant.chain import Link, chain
-from transopt.plant.hand import Hand, LinearInGrip
+from transopt.plant.hand import HandSection, LinearInGrip, LinearParameter
 from transopt.plant.second_order import SEED_HAND_DAMPING_N_S_M, SEED_HAND_MASS_KG, SEED_HAND_STIFFNESS_N_M
 from transopt.plant.state_space import StateSpace
 from transopt.recordings.settings import SimulatedTaps
@@ -35,12 +35,12 @@ HANDS = ("second_order", "fourth_order")
 
 # A stylus of 40 g, the hand's mass behind the skin: the seed's Fig. 4b, as a whole about as heavy as Eqs. 3-5.
 FOURTH_ORDER_STYLUS_KG = 0.040
-FOURTH_ORDER_HAND = Hand(
-    mass_kg=LinearInGrip(0.175, -0.00328),
-    skin_stiffness_N_m=LinearInGrip(3000.0, 2000.0),
-    skin_damping_N_s_m=LinearInGrip(6.0, 3.0),
-    arm_stiffness_N_m=SEED_HAND_STIFFNESS_N_M,
-    arm_damping_N_s_m=SEED_HAND_DAMPING_N_S_M,
+FOURTH_ORDER_HAND = HandSection(
+    mass_kg=LinearParameter(constant=0.175, per_newton=-0.00328),
+    skin_stiffness_N_m=LinearParameter(constant=3000.0, per_newton=2000.0),
+    skin_damping_N_s_m=LinearParameter(constant=6.0, per_newton=3.0),
+    arm_stiffness_N_m=LinearParameter(**vars(SEED_HAND_STIFFNESS_N_M)),
+    arm_damping_N_s_m=LinearParameter(**vars(SEED_HAND_DAMPING_N_S_M)),
 )
 
 
@@ -136,11 +136,11 @@ def second_order_hands(grips_N: FloatArray, random: np.random.Generator, spread:
 def fourth_order_hands(grips_N: FloatArray, random: np.random.Generator, spread: Spread) -> list[StateSpace]:
     """One hand per tap by the seed's Fig. 4b: skin, hand mass and arm vary, the stylus' mass does not."""
     hand = FOURTH_ORDER_HAND
-    mass = _scattered(hand.mass_kg, grips_N, random, spread.mass)
-    skin_k = _scattered(hand.skin_stiffness_N_m, grips_N, random, spread.stiffness)
-    skin_b = _scattered(hand.skin_damping_N_s_m, grips_N, random, spread.damping)
-    arm_k = _scattered(hand.arm_stiffness_N_m, grips_N, random, spread.stiffness)
-    arm_b = _scattered(hand.arm_damping_N_s_m, grips_N, random, spread.damping)
+    mass = _scattered(hand.line("mass_kg"), grips_N, random, spread.mass)
+    skin_k = _scattered(hand.line("skin_stiffness_N_m"), grips_N, random, spread.stiffness)
+    skin_b = _scattered(hand.line("skin_damping_N_s_m"), grips_N, random, spread.damping)
+    arm_k = _scattered(hand.line("arm_stiffness_N_m"), grips_N, random, spread.stiffness)
+    arm_b = _scattered(hand.line("arm_damping_N_s_m"), grips_N, random, spread.damping)
     return [
         chain(
             [FOURTH_ORDER_STYLUS_KG, mass[j]],

@@ -9,7 +9,7 @@ from transopt.base.signals import FloatArray
 from transopt.plant.chain import Link, chain
 from transopt.plant.coil import CoilModel
 from transopt.plant.drive import drive
-from transopt.plant.hand import Hand, LinearInGrip
+from transopt.plant.hand import HandSection, LinearParameter
 from transopt.plant.intention import INTENTION_S, Yielding
 from transopt.plant.second_order import second_order
 from transopt.plant.state_space import StateSpace
@@ -20,12 +20,12 @@ from transopt.problem.objective.target import Target
 PEAK_PER_SPEED_1_S = 280.0  # of a tap on wood: 28 m/s^2 at 0.1 m/s
 RING_HZ, RING_DECAY_S = 390.0, 4e-3
 R_OHM = 2.18
-HAND = Hand(
-    mass_kg=LinearInGrip(0.01, 0.0),
-    skin_stiffness_N_m=LinearInGrip(3000.0, 2000.0),
-    skin_damping_N_s_m=LinearInGrip(6.0, 3.0),
-    arm_stiffness_N_m=LinearInGrip(160.0, 110.0),
-    arm_damping_N_s_m=LinearInGrip(6.0, 3.0),
+HAND = HandSection(
+    mass_kg=LinearParameter(constant=0.01, per_newton=0.0),
+    skin_stiffness_N_m=LinearParameter(constant=3000.0, per_newton=2000.0),
+    skin_damping_N_s_m=LinearParameter(constant=6.0, per_newton=3.0),
+    arm_stiffness_N_m=LinearParameter(constant=160.0, per_newton=110.0),
+    arm_damping_N_s_m=LinearParameter(constant=6.0, per_newton=3.0),
 )
 
 

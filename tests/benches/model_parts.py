@@ -12,7 +12,6 @@ from transopt.design.build import Build, build_library
 from transopt.design.verify import verify_library
 from transopt.library.library import Library
 from transopt.plant.drive import Drive
-from transopt.plant.hand import LinearInGrip
 from transopt.plant.second_order import SEED_HAND_DAMPING_N_S_M, SEED_HAND_MASS_KG, SEED_HAND_STIFFNESS_N_M
 from transopt.recordings.recording import Recording
 from transopt.scene.model_file import save_part
@@ -52,16 +51,12 @@ def fit(values: dict[str, float], deviation: float) -> dict[str, Any]:
     }
 
 
-def _table(parameter: LinearInGrip) -> dict[str, float]:
-    return {"constant": parameter.constant, "per_newton": parameter.per_newton}
-
-
 def drive_device(deviation: float = 0.02, *, nrmse: float = 0.01, grips_N: list[float] = GRIPS_N) -> DriveDevice:
     """The chain of the default scene, by its own parameters."""
     scene = problems.load("wood_on_foam")
     tip, section = scene.drive_at_tip(), scene.model
     assert isinstance(section, Drive)
-    hand = section.hand.hand()
+    hand = section.hand
     content: dict[str, Any] = {
         "kind": "drive",
         "force_per_current_N_A": tip.force_per_current_N_A,
@@ -69,7 +64,7 @@ def drive_device(deviation: float = 0.02, *, nrmse: float = 0.01, grips_N: list[
         "stylus_mass_kg": section.stylus_mass_kg,
         "transmission_stiffness_N_m": tip.stiffness_N_m,
         "transmission_damping_N_s_m": tip.damping_N_s_m,
-        "hand": {name: _table(getattr(hand, name)) for name in HAND},
+        "hand": {name: vars(hand.line(name)) for name in HAND},
         "grips_N": grips_N,
         "nrmse": {f"{grip:g}": nrmse for grip in grips_N},
     }
@@ -109,9 +104,9 @@ def amplifier_part(pole_Hz: float = 1050.0, delay_s: float = 68e-6) -> Amplifier
 def hand_part(deviation: float = 0.02) -> SecondOrderHand:
     """The seed's whole hand."""
     tables = {
-        "mass_kg": _table(SEED_HAND_MASS_KG),
-        "damping_N_s_m": _table(SEED_HAND_DAMPING_N_S_M),
-        "stiffness_N_m": _table(SEED_HAND_STIFFNESS_N_M),
+        "mass_kg": vars(SEED_HAND_MASS_KG),
+        "damping_N_s_m": vars(SEED_HAND_DAMPING_N_S_M),
+        "stiffness_N_m": vars(SEED_HAND_STIFFNESS_N_M),
     }
     values = {f"{name}.{key}": value for name, table in tables.items() for key, value in table.items()}
     kind = {"kind": "second_order", "grips_N": [1.0, 7.0]}
@@ -120,7 +115,7 @@ def hand_part(deviation: float = 0.02) -> SecondOrderHand:
 
 def fourth_order_hand(deviation: float = 0.02) -> FourthOrderHand:
     """The hand of the simulated trials, by the seed's Fig. 4b."""
-    tables = {name: _table(line) for name, line in vars(FOURTH_ORDER_HAND).items()}
+    tables = {name: vars(FOURTH_ORDER_HAND.line(name)) for name in HAND}
     values = {f"hand.{name}.{key}": value for name, table in tables.items() for key, value in table.items()}
     values |= {"stylus_mass_kg": FOURTH_ORDER_STYLUS_KG}
     kind = {"kind": "fourth_order", "grips_N": [1.0, 7.0], "stylus_mass_kg": FOURTH_ORDER_STYLUS_KG}

@@ -81,9 +81,9 @@ def _nominal(scene: "Scene") -> "DriveChain | None":
 
     if not isinstance(scene.model, Drive):
         return None
-    tip, hand = scene.drive_at_tip(), scene.model.hand.hand()
+    tip, hand = scene.drive_at_tip(), scene.model.hand
     shared = [tip.moving_mass_kg, scene.model.stylus_mass_kg, tip.stiffness_N_m, max(tip.damping_N_s_m or 0.0, 1e-3)]
-    rows = [(getattr(hand, name).constant, getattr(hand, name).per_newton) for name in HAND]
+    rows = [(line.constant, line.per_newton) for line in map(hand.line, HAND)]
     return DriveChain(tip.force_per_current_N_A, np.array(shared, dtype=float), np.array(rows))
 
 

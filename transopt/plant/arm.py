@@ -224,8 +224,7 @@ class Arm(PlantKind):
         along = np.array(self.stylus) / np.linalg.norm(self.stylus)
         onto = np.outer(along, along)
         shape = onto + self.across * (np.eye(3) - onto)
-        hand = self.hand.hand()
-        pairs = [hand.skin(grip_N), hand.arm(grip_N)]
+        pairs = [self.hand.skin(grip_N), self.hand.arm(grip_N)]
         for name, value in [("stiffness", each.stiffness_N_m) for each in pairs] + [
             ("damping", each.damping_N_s_m) for each in pairs
         ]:
@@ -242,7 +241,7 @@ class Arm(PlantKind):
         ------
         InputError : a mass that is not > 0 at this grip.
         """
-        mass = self.hand.hand().mass_kg.at(grip_N)
+        mass = self.hand.line("mass_kg").at(grip_N)
         if not 0 < mass < np.inf:
             raise InputError(f"model.hand.mass_kg = {mass:g} kg at {grip_N:g} N: must be > 0 and finite")
         return mass

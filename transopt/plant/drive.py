@@ -10,7 +10,7 @@ import numpy as np
 
 from transopt.base.section import Positive
 from transopt.plant.chain import Link, chain
-from transopt.plant.hand import Hand, HandSection, held
+from transopt.plant.hand import HandSection, held
 from transopt.plant.kind import PlantKind
 from transopt.plant.motor import Tip
 from transopt.plant.state_space import Output, StateSpace
@@ -19,7 +19,7 @@ from transopt.plant.state_space import Output, StateSpace
 def drive(
     grip_N: float,
     *,
-    hand: Hand,
+    hand: HandSection,
     stylus_mass_kg: float,
     moving_mass_kg: float,
     transmission: Link,
@@ -71,7 +71,7 @@ class Drive(PlantKind):
         assert tip.damping_N_s_m is not None
         return drive(
             grip_N,
-            hand=self.hand.hand(),
+            hand=self.hand,
             stylus_mass_kg=self.stylus_mass_kg,
             moving_mass_kg=tip.moving_mass_kg,
             transmission=Link(tip.stiffness_N_m, tip.damping_N_s_m),

@@ -8,14 +8,14 @@ from typing import ClassVar, Literal
 
 from transopt.base.section import Positive
 from transopt.plant.chain import chain
-from transopt.plant.hand import Hand, HandSection, held
+from transopt.plant.hand import HandSection, held
 from transopt.plant.kind import PlantKind
 from transopt.plant.motor import Tip
 from transopt.plant.state_space import StateSpace
 
 
 def fourth_order(
-    grip_N: float, *, hand: Hand, stylus_mass_kg: float, moving_mass_kg: float, force_per_current_N_A: float
+    grip_N: float, *, hand: HandSection, stylus_mass_kg: float, moving_mass_kg: float, force_per_current_N_A: float
 ) -> StateSpace:
     """The chain stylus and drive - skin - hand mass - arm (seed Fig. 4b); a free mass at grip 0.
 
@@ -47,7 +47,7 @@ class FourthOrder(PlantKind):
         assert tip is not None
         return fourth_order(
             grip_N,
-            hand=self.hand.hand(),
+            hand=self.hand,
             stylus_mass_kg=self.stylus_mass_kg,
             moving_mass_kg=tip.moving_mass_kg,
             force_per_current_N_A=1.0 if struck else tip.force_per_current_N_A,

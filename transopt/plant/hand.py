@@ -18,32 +18,6 @@ class LinearInGrip:
         return self.constant + self.per_newton * grip_N
 
 
-@dataclass(frozen=True)
-class Hand:
-    """Grip-dependent hand: skin between stylus and hand mass, arm between hand mass and intended motion."""
-
-    mass_kg: LinearInGrip
-    skin_stiffness_N_m: LinearInGrip
-    skin_damping_N_s_m: LinearInGrip
-    arm_stiffness_N_m: LinearInGrip
-    arm_damping_N_s_m: LinearInGrip
-
-    def skin(self, grip_N: float) -> Link:
-        """Spring and damper of the skin, between stylus and hand mass."""
-        return Link(self.skin_stiffness_N_m.at(grip_N), self.skin_damping_N_s_m.at(grip_N))
-
-    def arm(self, grip_N: float) -> Link:
-        """Spring and damper of the arm, between hand mass and intended motion."""
-        return Link(self.arm_stiffness_N_m.at(grip_N), self.arm_damping_N_s_m.at(grip_N))
-
-
-def held(masses_kg: list[float], links: list[Link], hand: Hand, grip_N: float) -> tuple[list[float], list[Link]]:
-    """The chain extended by the hand; unchanged, with a free end, at grip 0."""
-    if grip_N == 0:
-        return masses_kg, links
-    return [*masses_kg, hand.mass_kg.at(grip_N)], [*links, hand.skin(grip_N), hand.arm(grip_N)]
-
-
 class LinearParameter(Section):
     """A parameter of the hand, linear in grip force.
 
@@ -64,12 +38,6 @@ class LinearParameter(Section):
 Parameter = LinearParameter | Finite
 
 
-def _linear(value: LinearParameter | float) -> LinearInGrip:
-    if isinstance(value, LinearParameter):
-        return value.linear()
-    return LinearInGrip(value, 0.0)
-
-
 class HandSection(Section):
     """Skin and arm as functions of grip: a number, or {constant, per_newton}.
 
@@ -88,6 +56,24 @@ class HandSection(Section):
     arm_stiffness_N_m: Parameter
     arm_damping_N_s_m: Parameter
 
-    def hand(self) -> Hand:
-        """The hand as the models use it."""
-        return Hand(**{name: _linear(getattr(self, name)) for name in type(self).model_fields})
+    def line(self, name: str) -> LinearInGrip:
+        """One of the parameters over grip."""
+        value: LinearParameter | float = getattr(self, name)
+        return value.linear() if isinstance(value, LinearParameter) else LinearInGrip(value, 0.0)
+
+    def skin(self, grip_N: float) -> Link:
+        """Spring and damper of the skin, between stylus and hand mass."""
+        return Link(self.line("skin_stiffness_N_m").at(grip_N), self.line("skin_damping_N_s_m").at(grip_N))
+
+    def arm(self, grip_N: float) -> Link:
+        """Spring and damper of the arm, between hand mass and intended motion."""
+        return Link(self.line("arm_stiffness_N_m").at(grip_N), self.line("arm_damping_N_s_m").at(grip_N))
+
+
+def held(
+    masses_kg: list[float], links: list[Link], hand: HandSection, grip_N: float
+) -> tuple[list[float], list[Link]]:
+    """The chain extended by the hand; unchanged, with a free end, at grip 0."""
+    if grip_N == 0:
+        return masses_kg, links
+    return [*masses_kg, hand.line("mass_kg").at(grip_N)], [*links, hand.skin(grip_N), hand.arm(grip_N)]

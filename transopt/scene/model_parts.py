@@ -16,7 +16,7 @@ from transopt.base.sizes import MOST_NODES, MOST_STATES
 from transopt.plant.chain import Link
 from transopt.plant.drive import drive
 from transopt.plant.fourth_order import fourth_order
-from transopt.plant.hand import Hand, LinearParameter
+from transopt.plant.hand import HandSection, LinearParameter
 from transopt.plant.second_order import second_order
 from transopt.plant.state_space import StateSpace, blended_at
 from transopt.scene.fitted import FittedPart, ModelPart
@@ -46,27 +46,14 @@ class AmplifierPart(FittedPart):
     gain: Positive
 
 
-class ChainHand(Section):
-    """Skin and arm of the `drive` chain, linear in grip.
-
-    Attributes
-    ----------
-    mass_kg : mass of the hand.
-    skin_stiffness_N_m : spring between stylus and hand.
-    skin_damping_N_s_m : damper between stylus and hand.
-    arm_stiffness_N_m : spring between hand and intended motion.
-    arm_damping_N_s_m : damper between hand and intended motion.
-    """
+class ChainHand(HandSection):
+    """Skin and arm of the `drive` chain, each parameter with its constant and its slope over grip."""
 
     mass_kg: LinearParameter
     skin_stiffness_N_m: LinearParameter
     skin_damping_N_s_m: LinearParameter
     arm_stiffness_N_m: LinearParameter
     arm_damping_N_s_m: LinearParameter
-
-    def hand(self) -> Hand:
-        """The hand as the models use it."""
-        return Hand(**{name: getattr(self, name).linear() for name in type(self).model_fields})
 
 
 Grips = Annotated[list[NonNegative], Field(min_length=1, max_length=MOST_NODES)]
@@ -179,7 +166,7 @@ class DriveDevice(RecordedDevice, FittedPart):
         check_grip(self.grips_N, grip_N)
         return drive(
             grip_N,
-            hand=self.hand.hand(),
+            hand=self.hand,
             stylus_mass_kg=self.stylus_mass_kg,
             moving_mass_kg=self.moving_mass_kg,
             transmission=Link(self.transmission_stiffness_N_m, self.transmission_damping_N_s_m),
@@ -319,7 +306,7 @@ class FourthOrderHand(_HeldHand):
         check_grip(self.grips_N, grip_N)
         return fourth_order(
             grip_N,
-            hand=self.hand.hand(),
+            hand=self.hand,
             stylus_mass_kg=self.stylus_mass_kg,
             moving_mass_kg=0.0,
             force_per_current_N_A=force_per_current_N_A,

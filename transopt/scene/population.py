@@ -1,7 +1,7 @@
 """A population of hands: the distribution of a hand's parameters over the users of a device, as a file.
 
 The logarithms of the five parameters at two grips are normally distributed. Between the two grips a hand is linear in
-grip, like every `Hand`. A population is the prior of a calibration (`transopt.identify.calibration`) and the spread
+grip, like every hand. A population is the prior of a calibration (`transopt.identify.calibration`) and the spread
 of a robust design (`robust.population`); tests of both draw hands from it.
 """
 
@@ -141,8 +141,7 @@ class Population(Section):
 
 
 def _passive(hand: HandSection, grips_N: Sequence[float]) -> bool:
-    lines = [line.linear() for line in (getattr(hand, name) for name in PARAMETERS)]
-    return all(line.at(grip) > 0 for line in lines for grip in grips_N)
+    return all(hand.line(name).at(grip) > 0 for name in PARAMETERS for grip in grips_N)
 
 
 def load_population(path: Path) -> Population:

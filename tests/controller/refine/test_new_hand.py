@@ -86,7 +86,7 @@ def test_three_taps_come_near_to_who_knows_the_hand(
     save_model(model, small.scene(), found.device)
     ours, as_recorded = (built_on(small, model, as_recorded=kept).library for kept in (False, True))
     known_file = tmp_path / "known.json"
-    known_hand = {name: vars(getattr(truth.model.hand.hand(), name)) for name in type(truth.model.hand).model_fields}
+    known_hand = {name: vars(truth.model.hand.line(name)) for name in type(truth.model.hand).model_fields}
     true_device = drive_of(small.scene()).model_dump() | {"hand": known_hand}
     save_model(known_file, small.scene(), type(found.device).model_validate(true_device))
     knows = built_on(small, known_file, as_recorded=True).library

@@ -42,7 +42,7 @@ def drive(scene: Scene, population: Population) -> DriveDevice:
 
 
 def truth_of(hand: HandSection, population: Population) -> FloatArray:
-    return np.log([getattr(hand.hand(), name).at(grip) for grip in population.grips_N for name in HAND])
+    return np.log([hand.line(name).at(grip) for grip in population.grips_N for name in HAND])
 
 
 def record(
@@ -184,7 +184,7 @@ def test_the_model_file_states_the_hand_with_its_covariance(
     assert device.verdict == found.in_words
     light, firm = found.at_ends
     for j, name in enumerate(HAND):
-        line = getattr(device.hand.hand(), name)
+        line = device.hand.line(name)
         assert (line.at(1.0), line.at(5.0)) == pytest.approx((light[j], firm[j]))
         assert device.intervals[f"hand.{name}.constant"][0] < line.constant
     assert device.parameters[0] == "hand.mass_kg.constant"

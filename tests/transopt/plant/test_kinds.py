@@ -9,7 +9,7 @@ from transopt.plant.chain import Link, chain
 from transopt.plant.discretise import discretise
 from transopt.plant.drive import Drive
 from transopt.plant.fourth_order import FourthOrder, fourth_order
-from transopt.plant.hand import Hand, HandSection, LinearInGrip
+from transopt.plant.hand import HandSection, LinearParameter
 from transopt.plant.kind import PlantKind
 from transopt.plant.motor import Tip
 from transopt.plant.second_order import SecondOrder, second_order
@@ -87,9 +87,14 @@ def test_second_order_is_the_seeds_equations_3_to_5(grip_N: float) -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
+def hand_of(*lines: tuple[float, float]) -> HandSection:
+    """The hand with these constants and slopes over grip."""
+    parameters = (LinearParameter(constant=constant, per_newton=slope) for constant, slope in lines)
+    return HandSection(**dict(zip(HandSection.model_fields, parameters, strict=True)))
+
+
 def test_fourth_order_is_two_masses_by_elimination() -> None:
-    constant = LinearInGrip
-    hand = Hand(constant(0.05, 0), constant(900, 100), constant(2, 0.5), constant(150, 20), constant(5, 1))
+    hand = hand_of((0.05, 0), (900, 100), (2, 0.5), (150, 20), (5, 1))
     s = 2j * np.pi * FREQUENCIES_HZ
     skin = 900 + 3 * 100 + (2 + 3 * 0.5) * s
     arm = 150 + 3 * 20 + (5 + 3) * s
@@ -159,7 +164,7 @@ def test_parameters_that_are_not_passive_are_named() -> None:
         second_order(70.0, force_per_current_N_A=1.0)
     with pytest.raises(InputError, match=r"damping_N_s_m of link 1 .* = -1: must be >= 0"):
         chain([1.0], [Link(1.0, -1.0)], force_per_current_N_A=1.0, stylus=0)
-    one = LinearInGrip(1.0, 0.0)
-    bad = Hand(one, LinearInGrip(5.0, -2.0), one, one, one)
+    one = (1.0, 0.0)
+    bad = hand_of(one, (5.0, -2.0), one, one, one)
     with pytest.raises(InputError, match=r"stiffness_N_m of link 1 .* = -1"):
         fourth_order(3.0, hand=bad, stylus_mass_kg=0.1, moving_mass_kg=0.1, force_per_current_N_A=1.0)

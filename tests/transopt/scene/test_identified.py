@@ -148,7 +148,7 @@ class TestTheSameDevice:
         for one in (scene, halved):
             assert np.allclose(one.plant(2.0).A, expected.A, rtol=1e-12)
         masses, _, _ = device_of(scene).at(2.0)
-        assert masses.tolist() == [FOURTH_ORDER_STYLUS_KG, FOURTH_ORDER_HAND.mass_kg.at(2.0)]
+        assert masses.tolist() == [FOURTH_ORDER_STYLUS_KG, FOURTH_ORDER_HAND.line("mass_kg").at(2.0)]
         own = built(scene, taps)
         assert own.library is not None
         assert_clean(own.library)

@@ -21,7 +21,7 @@ def population() -> Population:
 
 def logarithms(hand: HandSection, grips_N: list[float]) -> FloatArray:
     """(10,) as a population has them."""
-    return np.log([getattr(hand.hand(), name).at(grip) for grip in grips_N for name in PARAMETERS])
+    return np.log([hand.line(name).at(grip) for grip in grips_N for name in PARAMETERS])
 
 
 def test_the_median_hand_is_that_of_the_default_scene(population: Population) -> None:
@@ -29,7 +29,7 @@ def test_the_median_hand_is_that_of_the_default_scene(population: Population) ->
     own = load_scene("wood_on_foam").model.hand  # type: ignore[union-attr]
     for grip in (1.0, 3.0, 5.0):
         for name in PARAMETERS:
-            assert getattr(median.hand(), name).at(grip) == pytest.approx(getattr(own.hand(), name).at(grip))
+            assert median.line(name).at(grip) == pytest.approx(own.line(name).at(grip))
 
 
 def test_drawn_hands_have_the_medians_spreads_and_correlations_of_the_file(population: Population) -> None:
@@ -53,7 +53,7 @@ def test_the_same_seed_draws_the_same_hands_and_wider_ones_lie_farther_out(popul
 
 def test_hands_that_are_not_passive_at_a_grip_are_not_drawn(population: Population) -> None:
     for hand in population.drawn(50, 1, [0.3, 1.0, 5.0, 9.0], wider=1.5):
-        assert all(getattr(hand.hand(), name).at(grip) > 0 for name in PARAMETERS for grip in (0.3, 9.0))
+        assert all(hand.line(name).at(grip) > 0 for name in PARAMETERS for grip in (0.3, 9.0))
     steep = population.model_dump()
     steep["skin_damping_N_s_m"]["median"] = [1.0, 100.0]
     with pytest.raises(InputError, match=r"hardly any is passive at 0\.1, 5 N"):

@@ -12,7 +12,7 @@ from transopt.base.errors import InputError
 from transopt.plant.chain import Link
 from transopt.plant.coil import Circuit
 from transopt.plant.drive import drive
-from transopt.plant.hand import Hand, LinearInGrip
+from transopt.plant.hand import HandSection
 from transopt.plant.state_space import StateSpace
 from transopt.plant.wall import HandOver, Wall
 from transopt.problem.answer import OBJECTIVE_SCALE, Status
@@ -109,7 +109,7 @@ class TestDecoupled:
                 "arm_stiffness_N_m": 400.0,
                 "arm_damping_N_s_m": 12.0 / scale,
             }
-            hand = Hand(**{name: LinearInGrip(value, 0.0) for name, value in values.items()})
+            hand = HandSection(**values)
             return drive(
                 3.0,
                 hand=hand,

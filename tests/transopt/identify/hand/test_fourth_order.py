@@ -204,7 +204,7 @@ def played(library: Library) -> FloatArray:
     lead_s, dt_s = library.meta["derived"]["lead_s"], library.meta["derived"]["dt_s"]
     for (i, j), _ in np.ndenumerate(errors):
         speed, hand = library.speeds_m_s[i], FOURTH_ORDER_HAND
-        mass, k, b, arm_k, arm_b = (line.at(library.grips_N[j]) for line in vars(hand).values())
+        mass, k, b, arm_k, arm_b = (line.linear().at(library.grips_N[j]) for line in vars(hand).values())
         # Stylus, hand mass, their velocities, current, intention and its velocity, command.
         A = np.zeros((8, 8))
         A[0, 2] = A[1, 3] = A[5, 6] = 1.0

@@ -204,7 +204,7 @@ def test_the_fourth_order_hand_comes_back_where_hands_do_not_scatter() -> None:
     fit = fit_fourth_order(found, second, starts=3)
     assert fit.stylus_mass_kg == pytest.approx(FOURTH_ORDER_STYLUS_KG, rel=0.01)
     for name, tolerance in zip(HAND, (0.02, 0.02, 0.02, 0.1, 0.03), strict=True):
-        assert fit.lines[name].at(5.5) == pytest.approx(getattr(FOURTH_ORDER_HAND, name).at(5.5), rel=tolerance)
+        assert fit.lines[name].at(5.5) == pytest.approx(FOURTH_ORDER_HAND.line(name).at(5.5), rel=tolerance)
     assert not fit.undetermined
     assert "3 of 3 starts" in fit.word()
     assert fit.is_better
@@ -212,7 +212,7 @@ def test_the_fourth_order_hand_comes_back_where_hands_do_not_scatter() -> None:
     assert "misses 20 % of the acceleration" in replace(fit, unexplained=0.2).shortfalls()[0]
     truth = [FOURTH_ORDER_STYLUS_KG]
     for name in HAND:
-        truth += [getattr(FOURTH_ORDER_HAND, name).constant, getattr(FOURTH_ORDER_HAND, name).per_newton]
+        truth += [FOURTH_ORDER_HAND.line(name).constant, FOURTH_ORDER_HAND.line(name).per_newton]
     inside = (fit.intervals[:, 0] <= truth) & (fit.intervals[:, 1] >= truth)
     assert inside.sum() >= len(NAMES) - 2
 
