@@ -25,8 +25,7 @@ from transopt.scene.plant_file import with_plant_file
 from transopt.scene.plausible import check_plausible
 from transopt.scene.scene import Scene
 
-# Keys of older scene files -> what to write instead.
-# Keys of older files, and keys that are looked for under another name.
+# Keys of older files, and keys that are looked for under another name -> what to write instead.
 REPLACED = {
     "recordings.highpass_Hz": (
         "the recorded tap is tracked without a high-pass: delete the line; [hand] states how the stylus moves "

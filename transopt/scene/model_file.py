@@ -87,16 +87,8 @@ def save_part(path: Path, name: model_parts.ModelPartName, part: model_parts.Any
     ------
     InputError : an existing file that is damaged or no model file, which is not changed; a path that cannot be
         written.
-    TypeError : a part that does not belong under this name.
+    ValidationError : a part that does not belong under this name.
     """
-    expected = {
-        "amplifier": model_parts.AmplifierPart,
-        "device": model_parts.DriveDevice | model_parts.StateSpaceDevice,
-        "hand": model_parts.SecondOrderHand | model_parts.FourthOrderHand,
-        "coil": model_parts.CoilPart,
-    }[name]
-    if not isinstance(part, expected):
-        raise TypeError(f"{name}: cannot be a {type(part).__name__}")
     content = load_model(path).model_dump(by_alias=True, mode="json") if path.exists() else {}
     content = {
         "schema": SCHEMA,
@@ -107,6 +99,7 @@ def save_part(path: Path, name: model_parts.ModelPartName, part: model_parts.Any
         **{other: content[other] for other in model_parts.MODEL_PARTS if content.get(other) is not None},
         name: part.model_dump(mode="json"),
     }
+    ModelFile.model_validate(content)
     text = json.dumps(content, indent=1, allow_nan=False)
     with whole_file(path) as file:
         file.write(f"{text}\n".encode())

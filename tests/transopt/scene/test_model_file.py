@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from tests.benches.model_parts import amplifier_part, coil_part, drive_device, hand_part, state_space_device
 from transopt.base.errors import InputError
@@ -49,7 +50,7 @@ def test_a_part_takes_the_place_of_its_own_kind_only(full: Path) -> None:
 
 
 def test_a_part_is_written_where_it_belongs(tmp_path: Path) -> None:
-    with pytest.raises(TypeError, match="coil"):
+    with pytest.raises(ValidationError, match="coil"):
         save_part(tmp_path / "m.json", "coil", hand_part())
     assert not list(tmp_path.iterdir())
 
