@@ -322,7 +322,6 @@ def trade_off_figure(build: "Build") -> Figure:
     axes.set_ylim(0.0, 1.08 * max(within))
     axes.set_xlabel("energy within the window over that of the recorded tap [dB]", fontsize=LABEL_PT)
     axes.set_ylabel("tap error as predicted [%]", fontsize=LABEL_PT)
-    axes.tick_params(labelsize=SMALL_PT)
     axes.text(
         0.01,
         0.98,

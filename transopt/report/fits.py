@@ -204,8 +204,7 @@ def coil_figure(fit: "CoilFit") -> Figure:
     below.plot(minutes, np.sqrt(record.heating_A2) - record.ripple_A, color=SEED, lw=1.0)
     for axes, label in ((above, "temperature [C]"), (missed, "missed by [K]"), (below, "current [A]")):
         axes.set_ylabel(label, fontsize=LABEL_PT)
-        axes.tick_params(labelsize=SMALL_PT)
-        axes.grid(alpha=0.25)
+        style(axes)
     below.set_xlabel("time [min]", fontsize=LABEL_PT)
     above.legend(fontsize=SMALL_PT, frameon=False, markerscale=4)
     return figure
@@ -240,8 +239,7 @@ def hand_figure(fit: "HandFit") -> Figure:
         axes.set_xlabel("grip force [N]", fontsize=LABEL_PT)
         axes.set_ylabel(label, fontsize=LABEL_PT)
         axes.set_ylim(bottom=min(0.0, float(lower.min())))
-        axes.tick_params(labelsize=SMALL_PT)
-        axes.grid(alpha=0.25)
+        style(axes)
     figure.axes[0].legend(fontsize=SMALL_PT, frameon=False)
     return figure
 
