@@ -11,7 +11,6 @@ import itertools
 import os
 import pickle
 import threading
-from collections import OrderedDict
 from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Future
 
@@ -23,7 +22,6 @@ from transopt.web.shown import Shown
 MOST = 3  # largest number of processes; with the server's share that is three of twelve taps each
 MOST_S = 20.0  # time limit of a share, after which the process is ended and the server solves it
 READY_S = 60.0
-KEPT = 16  # services that a process caches
 
 _names = itertools.count()
 
@@ -78,7 +76,7 @@ class Crew:
 
         Parameters
         ----------
-        name : unique name of the service, the processes' cache key (`service_name`).
+        name : unique name of the service, by which a process knows it (`service_name`).
         """
         if len(order) < 2 or not self._at_work.acquire(blocking=False):
             return service.quick(order)
@@ -117,27 +115,22 @@ def _shares(order: Sequence[int], count: int) -> list[Sequence[int]]:
 
 
 class _Member:
-    """One process, and the services that were sent to it."""
+    """One process, and the service that was last sent to it."""
 
     def __init__(self) -> None:
         self.process = Processes(1, quiet=True)
-        self._sent: OrderedDict[str, str] = OrderedDict()
+        self._sent = "", ""
 
     def ask(self, name: str, service: Service, share: Sequence[int]) -> "Future[list[Shown]]":
         """Submit a share of a window's taps; the service itself is sent where the process does not have it."""
-        whole, axis = None, service.axis
-        if self._sent.get(name) != axis:
-            # The process does not have this service yet, or has references on another time axis.
-            whole = pickle.dumps(service)
-            self._sent[name] = axis
-        self._sent.move_to_end(name)
-        if len(self._sent) > KEPT:
-            self._sent.popitem(last=False)
+        # It does not have the service of another window, or has references on another time axis.
+        whole = None if self._sent == (name, service.axis) else pickle.dumps(service)
+        self._sent = name, service.axis
         state = service.scene, service.probe, service.winding_C
-        return self.process.submit(_share, name, whole, state, list(share))
+        return self.process.submit(_share, whole, state, list(share))
 
 
-_services: OrderedDict[str, Service] = OrderedDict()
+_service: list[Service] = []  # the service that was last sent to this process
 
 
 def _ready() -> None:
@@ -145,18 +138,14 @@ def _ready() -> None:
 
 
 def _share(
-    name: str,
     whole: bytes | None,
     state: tuple[Scene, tuple[float, float] | None, float | None],
     share: list[int],
 ) -> list[Shown]:
     """Solve a share in a process of the crew; `state` is scene, tap between the nodes and winding temperature."""
     if whole is not None:
-        _services[name] = pickle.loads(whole)
-    _services.move_to_end(name)
-    if len(_services) > KEPT:
-        _services.popitem(last=False)
-    service = _services[name]
+        _service[:] = [pickle.loads(whole)]
+    (service,) = _service
     service.scene, service.probe, service.winding_C = state
     return bounded(MOST_S, lambda: service.quick(share))
 
