@@ -16,7 +16,7 @@ from concurrent.futures import BrokenExecutor, CancelledError, Future
 
 from transopt.base.apart import Processes, bounded
 from transopt.scene.scene import Scene
-from transopt.web.service import Service
+from transopt.web.service import Service, Tables
 from transopt.web.shown import Shown
 
 MOST = 3  # largest number of processes; with the server's share that is three of twelve taps each
@@ -119,7 +119,7 @@ class _Member:
 
     def __init__(self) -> None:
         self.process = Processes(1, quiet=True)
-        self._sent = "", ""
+        self._sent: tuple[str, Tables] = "", ()
 
     def ask(self, name: str, service: Service, share: Sequence[int]) -> "Future[list[Shown]]":
         """Submit a share of a window's taps; the service itself is sent where the process does not have it."""

@@ -5,7 +5,6 @@ tap is designed as by `transopt solve`, replayed, priced and admitted (`Service.
 figures of a library.
 """
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -44,9 +43,10 @@ from transopt.web.price import priced
 from transopt.web.shown import Place, Shown, shown
 from transopt.web.warm import Warm, on_warm_coil
 
+Tables = tuple[object, ...]  # what a cached result depends on
 MOST_REMEDY_WORK = 100.0  # work limit for the search of remedies for one refused tap: one or two seconds
 # The tables on which simulated recordings depend.
-SIMULATED_ON = {
+SIMULATED_ON = (
     "recordings",
     "hand",
     "targets",
@@ -58,7 +58,7 @@ SIMULATED_ON = {
     "transmission",
     "tip",
     "striker",
-}
+)
 
 
 class Service:
@@ -91,9 +91,8 @@ class Service:
         self.changes: dict[str, Value] = {}
         self.options = SolverOptions()
         self.trial = TrialOptions(self.options.solver, self.options.tolerance, self.options.max_iterations)
-        self._references: tuple[str, References] = ("", References())
-        self._referenced: Scene | None = None  # scene of the last look-up of references
-        self._recordings: tuple[str, list[Recording]] = ("", [])
+        self._references: tuple[Tables, References] = ((), References())
+        self._recordings: tuple[Tables, list[Recording]] = ((), [])
         self._sampled: Sequence[Recording] | None = None  # recordings of the references; None for a library's
         self._context: Context | None = None
         self._posed_last = dict[Place, Posed]()  # the last problem of each tap
@@ -103,7 +102,7 @@ class Service:
         scene.posing()  # a nonlinear plant is refused here, by name
         scene.check_one_motor(f"page: {scene.name}")
         if library is not None:
-            self._references = (self._axis(scene), references_of_library(library))
+            self._references = (_recorded_on(scene), references_of_library(library))
         self.scene = scene
         self.references(scene)
 
@@ -136,7 +135,7 @@ class Service:
         return found
 
     @property
-    def axis(self) -> str:
+    def axis(self) -> Tables:
         """The references' cache key."""
         return self._references[0]
 
@@ -238,11 +237,6 @@ class Service:
                     f"{name} {value:g} {unit}: outside of the nodes, {nodes[0]:g} to {nodes[-1]:g} {unit}"
                 )
 
-    def _axis(self, scene: Scene) -> str:
-        """The references' cache key for a scene: all that they depend on, as text."""
-        stated = scene.model_dump(include={"recordings", "targets", "hand"}, mode="json")
-        return f"{scene.time_grid()} {json.dumps(stated)}"
-
     def references(self, scene: Scene) -> References:
         """References at the speeds and grips of a scene or for its targets, cached by `axis`.
 
@@ -250,23 +244,18 @@ class Service:
         ------
         InputError : unsuitable recordings.
         """
-        if self._referenced is None or _recorded_on(scene) != _recorded_on(self._referenced):
-            axis = self._axis(scene)
-            if axis != self._references[0]:
-                taps, known = self._taps(scene), self._references[1]
-                self._references = (
-                    axis,
-                    sampled_again(scene, known) if taps is self._sampled else references_of(scene, taps),
-                )
-                self._sampled = taps
-        self._referenced = scene
-        return self._references[1]
+        axis, (last, known) = _recorded_on(scene), self._references
+        if axis != last:
+            taps = self._taps(scene)
+            known = sampled_again(scene, known) if taps is self._sampled else references_of(scene, taps)
+            self._references, self._sampled = (axis, known), taps
+        return known
 
     def _taps(self, scene: Scene) -> Sequence[Recording]:
         if self._given is not None or scene.targets:
             return self._given or ()
-        on = {"recordings"} if scene.recordings.simulated is None else SIMULATED_ON
-        of = json.dumps(scene.model_dump(include=on, mode="json"))
+        on = ("recordings",) if scene.recordings.simulated is None else SIMULATED_ON
+        of = tuple(getattr(scene, name) for name in on)
         if of != self._recordings[0]:
             self._recordings = (of, recordings_of(scene))
         return self._recordings[1]
@@ -420,7 +409,7 @@ class Service:
         return made.library
 
 
-def _recorded_on(scene: Scene) -> tuple[object, ...]:
+def _recorded_on(scene: Scene) -> Tables:
     """What the references of the scene depend on, of all that can be changed on the page."""
     return scene.time_grid(), scene.recordings, scene.targets, scene.hand
 
