@@ -117,7 +117,7 @@ def uncovered_line(build: Build) -> str:
     model = build.scene.model
     if not isinstance(model, IdentifiedModel) or model.device is None or model.device.error is None:
         return ""
-    error, entries = model.device.error, [entry for entry in build.all_entries() if entry.admitted]
+    error, entries = model.device.error, build.proven
     beyond = [entry for entry in entries if not error.covers(entry.grip_N, entry.played.peak_input)]
     if not beyond:
         return ""

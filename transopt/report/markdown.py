@@ -165,8 +165,7 @@ def _kept_back_lines(entries: Sequence[Entry]) -> list[str]:
 
 def priced_entries(build: Build, *, full: bool) -> list[Entry]:
     """Entries whose prices are reported: all, or the one farthest above its floor."""
-    entries = [entry for entry in build.all_entries() if entry.admitted]
-    return entries if full else sorted(entries, key=lambda entry: entry.floor - entry.figures.tap_error)[:1]
+    return build.proven if full else sorted(build.proven, key=lambda each: each.floor - each.figures.tap_error)[:1]
 
 
 def _price_lines(build: Build, *, full: bool) -> list[str]:
