@@ -190,15 +190,8 @@ def _free(measured: Sequence[GripResponse], coordinates: Coordinates, instrument
     """(p,) whether these records can determine an unknown: the amplifier if the current was read beside the command,
     the accelerometer's gain if an encoder measured the motion."""
     amplifier = instrument.amplifier is not None and all(CURRENT in one.outputs for one in measured)
-    measured_too = [
-        amplifier,
-        amplifier,
-        amplifier,
-        True,
-        True,
-        any(max(one.outputs) > ACCELERATION for one in measured),
-    ]
-    return np.array([True] * coordinates.size + measured_too)
+    moved = any(max(one.outputs) > ACCELERATION for one in measured)
+    return np.array([True] * coordinates.size + [amplifier] * 3 + [True, True, moved])
 
 
 def _with_amplifier(measured: Sequence[GripResponse], instrument: Instrument) -> Instrument:
@@ -285,13 +278,10 @@ def fit_chain(
         known = (
             replace(sought, accelerometer_Hz=None) if stated is None and "accelerometer_pole" not in names else sought
         )
-        start, moving, values = best.unknowns.copy(), free.copy(), unknowns_of(known)
-        for j, name in enumerate(INSTRUMENT):
-            if name in NUISANCES:
-                moving[coordinates.size + j] = name in names
-                if name not in names:
-                    start[coordinates.size + j] = values[j]
-        return ChainSearch(measured, coordinates, known, force, moving).maximum(start), known
+        fixed = nuisances & np.isin([*coordinates.names, *INSTRUMENT], names, invert=True)
+        nominally = np.concatenate([best.unknowns[: coordinates.size], unknowns_of(known)])
+        start = np.where(fixed, nominally, best.unknowns)
+        return ChainSearch(measured, coordinates, known, force, free & ~fixed).maximum(start), known
 
     final, known = with_nuisances(kept)
     if kept and final.scatter > WHOLLY:
