@@ -58,10 +58,16 @@ def stated_rows(problem: TransientProblem, stage: LinearStage) -> list[StatedRow
         G, d = stage.row(row)
         asked = (np.stack(row.bounds(N)) - row.offset) / limit.stated
         lower, upper = asked.copy()
-        # Fixed values: at tau_0 the device is at rest; commands of a hand-over without a wall are zero.
-        decided = [slice(1 if row.waits(ideal=ideal) else 0)]
-        if problem.wall is None and tuple(row.outputs) == (COMMAND,):
-            decided.append(slice(problem.free_stages, N))
+        # Fixed values: at tau_0 the device is at rest; commands of a hand-over without a wall are zero. Bounds that
+        # exclude this zero stay, so that infeasibility is proven.
+        decided, end = [slice(1 if row.waits(ideal=ideal) else 0)], slice(problem.free_stages, N)
+        if (
+            problem.wall is None
+            and tuple(row.outputs) == (COMMAND,)
+            and np.all(lower[end] <= 0)
+            and np.all(upper[end] >= 0)
+        ):
+            decided.append(end)
         for at in decided:
             lower[at], upper[at] = -np.inf, np.inf
         single = SINGLE.get(tuple(row.outputs), "")

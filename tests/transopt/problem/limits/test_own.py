@@ -95,10 +95,11 @@ def test_the_price_of_one_moves_the_bound_that_binds_outwards(
     assert "bounded" not in truly.slopes
 
 
-def test_one_that_no_command_keeps_is_refused_with_its_sign(tmp_path: Path, taps: list[Recording]) -> None:
-    """The first and last currents are zero, so that none stays 0.3 A below or above it."""
+@pytest.mark.parametrize("of", ["current", "command"])
+def test_one_that_no_command_keeps_is_refused_with_its_sign(tmp_path: Path, taps: list[Recording], of: str) -> None:
+    """The first current and the last commands are zero, so that none stays 0.3 A below or above it."""
     for bound, said in (("upper=-0.3", "over its limit -0.3 A"), ("lower=0.3", "below its limit 0.3 A")):
-        entry = solved(tmp_path, taps, f"to.own_limit('held', 'A', lambda s: s.current, {bound})").entries[-1][0]
+        entry = solved(tmp_path, taps, f"to.own_limit('held', 'A', lambda s: s.{of}, {bound})").entries[-1][0]
         assert entry.status is Status.INFEASIBLE
         assert entry.shortfalls[0].startswith(f"held 0.3 A {said} at ")
 
