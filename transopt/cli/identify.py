@@ -96,7 +96,7 @@ def identify_hand(
         fourth = fit_fourth_order(taps, fit)
     tell(fits.line_table(fit), fits.fourth_order_table(fourth))
     tell(*(f"{one.name}: {one.note}" for one in taps if one.note))
-    tell(*(f"left out: {line}" for line in left_out), style="yellow")
+    tell(*(f"left out: {line}" for line in left_out), *filter(None, [fourth.braking()]), style="yellow")
     tell(f"fourth order: {fourth.word()}")
     used, figure = {tap.name for tap in taps}, fits.hand_figure(fit)
     try:

@@ -60,6 +60,7 @@ class CoilFit(Fit):
     coil : the fitted model, start temperatures included.
     nominal : the motor's model in the surroundings of its scene, which the fit is to replace.
     leads_ohm : fitted resistance beside the winding's within the recorded voltage; 0 without a voltage.
+    by_leads : share by which R_wh + R_ha would be larger if the leads had `record.leads_ohm` more than was assumed.
     surprise : squares of the deviations of both resistances from what was stated, in standard deviations, summed.
     intervals : (5, 2) 95 % intervals of `NAMES`.
     covariance : (5, 5) covariance of `NAMES`.
@@ -72,6 +73,7 @@ class CoilFit(Fit):
     coil: CoilModel
     nominal: CoilModel
     leads_ohm: float
+    by_leads: float
     surprise: float
     intervals: FloatArray
     covariance: FloatArray
@@ -313,8 +315,10 @@ def fit_coil(record: HeatRecord, nominal: CoilModel, *, starts: int = STARTS) ->
     slopes = misfit.evaluate(theta)[1]
     slopes[: residuals.size] /= np.sqrt(max(excess, misfit.over_many_rows(theta), 1.0))
     of_log = np.append(np.ones(4), record.R_tolerance / quantile())
-    covariance = inverse(slopes)[:5, :5] * np.outer(of_log, of_log)
+    whole = inverse(slopes)
+    covariance = whole[:5, :5] * np.outer(of_log, of_log)
     coil = misfit.coil(theta)
+    resistances = np.array([coil.R_wh_K_W, coil.R_ha_K_W])
     values = np.array([getattr(coil, name) for name in NAMES])
     half = quantile(free) * np.sqrt(np.diagonal(covariance))
     with np.errstate(over="ignore"):  # a parameter that the record does not determine
@@ -326,6 +330,8 @@ def fit_coil(record: HeatRecord, nominal: CoilModel, *, starts: int = STARTS) ->
         coil=replace(coil, limit_C=nominal.limit_C),
         nominal=nominal,
         leads_ohm=misfit.leads_ohm(theta),
+        # The unknowns move by their covariance with the leads, as the leads' prior moves by its deviation.
+        by_leads=float(quantile() * (whole[:2, 5] @ resistances) / resistances.sum()),
         surprise=float(np.sum(misfit.prior(theta)[:2] ** 2)),
         intervals=intervals,
         covariance=np.outer(values, values) * covariance,

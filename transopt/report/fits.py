@@ -222,8 +222,9 @@ def noise_line(fit: "CoilFit") -> str:
     """Which temperatures were fitted, and how close the model comes to them."""
     channels = "the winding" if fit.record.housing is None else "winding and housing"
     noise = f"noise of the winding {fit.record.winding.noise_K:.2g} K, residuals {fit.misfit:.2f} times the noise"
-    leads = "" if fit.record.electrical is None else f", {fit.leads_ohm:.2g} ohm of leads within the voltage"
-    return f"from {channels}, {noise}{leads}"
+    leads, most = f"{fit.leads_ohm:.2g} ohm of leads within the voltage", f"{fit.record.leads_ohm:.2g} ohm"
+    more = f"at most {most} as stated: {most} more would make R_wh + R_ha {100 * fit.by_leads:.2g} % larger"
+    return f"from {channels}, {noise}{'' if fit.record.electrical is None else f', {leads} ({more})'}"
 
 
 def hand_figure(fit: "HandFit") -> Figure:

@@ -17,6 +17,7 @@ from transopt.identify.coil import NAMES, CoilFit, fit_coil
 from transopt.identify.heat_record import LEADS, R_TOLERANCE, heat_record
 from transopt.identify.measurement import Measurement
 from transopt.plant.coil import CoilModel, effective_square
+from transopt.report.fits import noise_line
 from transopt.scene.model_file import load_model
 
 R_OHM = 2.18  # Maxon RE 25, 118743
@@ -185,6 +186,21 @@ def test_leads_that_the_housing_tells_do_not_count_as_copper() -> None:
     assert fit.leads_ohm == pytest.approx(0.1, abs=0.02)
     assert fit.coil.R_wh_K_W == pytest.approx(3.1, rel=0.05)
     assert not fit.shortfalls()
+
+
+def test_what_longer_leads_would_change_is_told() -> None:
+    """A voltage alone does not tell leads from copper: longer ones than stated make both resistances too low."""
+
+    def found(leads_ohm: float, *, housing: bool) -> CoilFit:
+        run = measured(5, voltage=True, rest_A=0.33, every_s=0.5, housing=housing, leads_ohm=leads_ohm)
+        return fitted(run)
+
+    as_stated, longer = (found(share * R_OHM, housing=False) for share in (LEADS, 2 * LEADS))
+    fell = values(as_stated)[:2].sum() / values(longer)[:2].sum() - 1
+    assert fell > 0.04
+    assert as_stated.by_leads == pytest.approx(fell, rel=0.15)
+    assert f"would make R_wh + R_ha {100 * as_stated.by_leads:.2g} % larger" in noise_line(as_stated)
+    assert found(0.0, housing=True).by_leads < 0.1 * fell
 
 
 @pytest.mark.parametrize(

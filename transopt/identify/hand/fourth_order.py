@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
-from scipy import signal
+from scipy import signal, stats
 
 from transopt.base.signals import REACTION_S, FloatArray
-from transopt.identify.device.chain import HAND, Coordinates, log_slopes
+from transopt.identify.device.chain import HAND, Coordinates, chain_of, log_slopes
 from transopt.identify.device.response import ACCELERATION, Instrument, Slope, courses
 from transopt.identify.fit import Fit, intervals_around, known, quantile
-from transopt.identify.hand.lines import LOUDER, MOST_UNEXPLAINED, HandFit
+from transopt.identify.hand.lines import LACK_OF_FIT_P, LOUDER, MOST_UNEXPLAINED, HandFit
 from transopt.identify.hand.tap import LOWPASS_HZ, HandTap
 from transopt.identify.measurement import Measurement
 from transopt.identify.squares import Found, Squares, inverse
@@ -32,6 +32,7 @@ from transopt.scene.model_parts import FourthOrderHand, SecondOrderHand
 
 SHARED = ("stylus_mass_kg",)
 NAMES = (*SHARED, *(f"hand.{name}.{part}" for name in HAND for part in ("constant", "per_newton")))
+ARM = len(SHARED) + HAND.index("arm_stiffness_N_m")
 STARTS, ENOUGH = 6, 3  # most starts tried; number of them that end in one optimum after which no more are tried
 SAME = 1.01  # sum of squares over the least one up to which a start counts as having found the same optimum
 DETERMINED = 0.25  # largest relative half width of the interval at the middle grip of a determined parameter
@@ -68,6 +69,9 @@ class FourthOrderFit(Fit):
     expected : sum of squares of the relative errors expected for other taps of this session.
     second : sum of squares of the relative errors of the second-order hand.
     starts : sum of squares reached from each start, the best first.
+    brake_m_s2, brake_p : acceleration of the hand against the tap, from contact on, that all taps have in common, and
+        the probability of one that large by chance.
+    unbraked_N_m : stiffness of the arm at the middle grip if that is taken out.
     """
 
     stylus_mass_kg: float
@@ -85,6 +89,9 @@ class FourthOrderFit(Fit):
     expected: float
     second: float
     starts: tuple[float, ...]
+    brake_m_s2: float
+    brake_p: float
+    unbraked_N_m: float
 
     @property
     def undetermined(self) -> list[str]:
@@ -107,6 +114,19 @@ class FourthOrderFit(Fit):
             return f"{text}; other taps are explained no better than by one mass on a spring and a damper"
         return "; ".join(
             [f"{text}; other taps are explained better", *(f"but {short}" for short in self.shortfalls())]
+        )
+
+    def braking(self) -> str:
+        """Warning that the hand brakes or speeds up from contact on, which weakens or stiffens the fitted arm."""
+        if not self.brake_p < LACK_OF_FIT_P:
+            return ""
+        middle_N = (self.grips_N[0] + self.grips_N[-1]) / 2
+        found_N_m = self.lines["arm_stiffness_N_m"].at(middle_N)
+        return (
+            f"the hand {'brakes' if self.brake_m_s2 > 0 else 'speeds up'} by about {abs(self.brake_m_s2):.2g} m/s^2 "
+            f"from contact on (p = {self.brake_p:.1g}): without that its arm has about {self.unbraked_N_m:.3g} N/m "
+            f"at {middle_N:.2g} N, not {found_N_m:.3g}, whatever the intervals; go on evenly through the contact, or "
+            "tap faster"
         )
 
     @property
@@ -198,6 +218,20 @@ class _Session(Squares):
         whole = np.concatenate(parts, axis=1)
         return whole[0], whole[1:].T
 
+    def braked(self, unknowns: FloatArray) -> FloatArray:
+        """Derivative of all residuals by an acceleration of the hand from contact on, against the tap.
+
+        The masses are pushed by their inertia in the frame of the hand's motion: only the last state, the rate of the
+        link to the arm, feels it.
+        """
+        parts = []
+        for tap, at in zip(self.taps, self._to_taps, strict=True):
+            plant = chain_of(at @ unknowns, 1.0, SHARED)
+            carried = replace(plant, B=-np.eye(plant.order)[:, -1:], D=np.zeros_like(plant.D))
+            course = courses(carried, Instrument(tap.dt_s), np.ones(tap.force_N.size), ramped=True)[0, ACCELERATION]
+            parts.append(course[:: self.every] / np.linalg.norm(tap.acceleration_m_s2))
+        return np.concatenate(parts)
+
     def second_order(self, hand: HandFit) -> float:
         """Sum of squares of the second-order hand; infinite if that is not passive."""
         try:
@@ -283,6 +317,12 @@ def _with_uncertainty(
     to_lines, to_middle = coordinates.lines()[1], coordinates.at(float(np.mean(coordinates.held_N)))
     found, of_lines = to_lines @ (scale * unknowns), to_lines @ covariance @ to_lines.T
     middle, of_middle = to_middle @ (scale * unknowns), to_middle @ covariance @ to_middle.T
+    brake = session.braked(unknowns)
+    moved = bread @ J.T @ brake
+    brake -= J @ moved
+    # A score test (Rao) of each tap's slope of the squares by that acceleration, robust as the covariance is.
+    slopes = np.add.reduceat(brake * residuals, session.first)
+    by_brake = -float(slopes.sum() / (brake @ brake))
     deviation, names = np.sqrt(np.diagonal(of_middle)), (*SHARED, *(f"hand.{name}" for name in HAND))
     correlation = of_middle / np.outer(deviation, deviation)
     entangled = [
@@ -306,6 +346,9 @@ def _with_uncertainty(
         expected=float(np.sum(per_tap**2)) + 2 * session.every * float(np.sum(bread * meat)),
         second=session.every * session.second_order(hand),
         starts=costs,
+        brake_m_s2=by_brake,
+        brake_p=float(stats.ttest_1samp(slopes, 0.0).pvalue),
+        unbraked_N_m=float(middle[ARM] - to_middle[ARM] @ (scale * moved) * by_brake),
     )
 
 

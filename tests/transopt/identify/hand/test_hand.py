@@ -1,5 +1,6 @@
 """The hand from taps on a real surface: what is recovered, how sure, and what is refused."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -226,6 +227,29 @@ def test_taps_of_one_rigid_mass_do_not_determine_a_skin(cut_taps: list[HandTap],
     assert total == pytest.approx(hand.lines[0].line.at(5.5), rel=0.1)
     for grip_N in fit.grips_N:
         assert all(line.at(grip_N) >= -1e-9 for line in fit.lines.values())
+
+
+@pytest.mark.parametrize(("brake_m_s2", "said"), [(0.0, ""), (1.5, "brakes"), (-1.5, "speeds up")])
+def test_a_hand_that_brakes_at_contact_is_named(
+    cut_taps: list[HandTap], hand: HandFit, brake_m_s2: float, said: str
+) -> None:
+    """The hand's motion leaves the straight one by d, and the surface pushes with m y'' + b (y' - d') + k (y - d)."""
+    braked = []
+    for tap, fit in zip(cut_taps[::2], hand.fits[::2], strict=True):
+        t = DT_S * np.arange(tap.force_N.size)
+        less = brake_m_s2 * (fit.damping_N_s_m * t + fit.stiffness_N_m * t**2 / 2)
+        braked.append(replace(tap, force_N=tap.force_N - less))
+    fit = fit_fourth_order(braked, fit_hand(braked), starts=1)
+    told = re.fullmatch(
+        r"the hand (.*) by about (\S+) m/s\^2 from .* has about (\S+) N/m at (\S+) N, not (\S+), what.*",
+        fit.braking(),
+    )
+    assert (told is not None) == bool(said)
+    if told is not None:
+        true_N_m = hand.lines[2].line.at(float(told[4]))
+        assert told[1] == said
+        assert float(told[2]) == pytest.approx(abs(brake_m_s2), rel=0.4)
+        assert abs(float(told[3]) - true_N_m) < 0.4 * abs(float(told[5]) - true_N_m)
 
 
 # ------------------------------------------------------------------------------------------------ bad input
