@@ -203,7 +203,8 @@ def _fill(
 ) -> dict[str, int]:
     """Interpolate channels recorded at a lower rate than the others, which leave regular blanks.
 
-    Rows before the first and after the last value of such a channel are removed, because it is unknown there.
+    Rows before the first and after the last value of such a channel are removed, because it is unknown there. Other
+    blanks stay NaN, as samples that were lost.
 
     Parameters
     ----------
@@ -219,8 +220,7 @@ def _fill(
         steps = np.unique(np.diff(have))
         ends = max(have[0], len(numbers) - 1 - have[-1]) if have.size else 0
         if have.size < MIN_SAMPLES or steps.size != 1 or ends >= steps[0]:
-            row = f"row {numbers[rows[0]]}, column {name}"
-            raise InputError(f"{row}: '' is no number; correct it, or put # before a remark")
+            continue
         strides[name], first, end = int(steps[0]), max(first, int(have[0])), min(end, int(have[-1]) + 1)
         spline = scipy.interpolate.CubicSpline(have, columns[name][have])
         columns[name] = np.asarray(spline(np.arange(len(numbers))))
