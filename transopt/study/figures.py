@@ -257,7 +257,8 @@ def question_figure(found: Answer, label_of_key: str) -> Figure:
         name = entry_name(own[0])
         colour, dash = by_speed[shade[entry[0]]], DASHES[dashes[entry[1]] % len(DASHES)]
         axes.plot(x, y, color=colour, linestyle=dash, linewidth=1.0, marker="o", markersize=2.5, label=name)
-    axes.axhline(requirement.scale * requirement.bound, color=DARK, linewidth=0.9, linestyle=":")
+    # Drawn from first to last value, so that the axes have ends where no answer is certified.
+    axes.plot([min(x), max(x)], 2 * [requirement.scale * requirement.bound], color=DARK, linewidth=0.9, linestyle=":")
     if found.met is not None:
         axes.axvline(found.met.value, color=SEED, linewidth=1.0, linestyle="--")
     if found.question.log:

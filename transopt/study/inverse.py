@@ -211,9 +211,10 @@ class Answer:
             enough = (1 + AS_NEAR) * min(tried.excess for tried in self.tried)
             alike = [tried for tried in self.tried if tried.excess <= enough]
             best = alike[-1 if q.greatest else 0]
+            place = "nearest is" if math.isfinite(best.excess) else "each has an entry without a certified answer, as"
             return [
-                f"No {q.key.path} of {len(self.tried)} tried from {span} meets {wanted} at every entry; nearest "
-                f"is {label(best.value)} {unit}: {self._entry(best)}."
+                f"No {q.key.path} of {len(self.tried)} tried from {span} meets {wanted} at every entry; {place} "
+                f"{label(best.value)} {unit}: {self._entry(best)}."
             ]
         extreme = "greatest" if q.greatest else "least"
         lines = [

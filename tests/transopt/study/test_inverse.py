@@ -15,7 +15,7 @@ from tests.benches.study import plain, serial
 from transopt.base.errors import InputError
 from transopt.scene.scene import Scene
 from transopt.study.axes import parse_axis
-from transopt.study.figures import entry_grid
+from transopt.study.figures import entry_grid, question_figure
 from transopt.study.inverse import Answer, answer, parse_question, parse_requirement
 from transopt.study.plan import Plan
 from transopt.study.session import run_plan, run_question
@@ -87,6 +87,21 @@ class TestSearch:
         found = self.ask(scene, lambda A: np.nan if A < 2.5 else 0.05, "1:6:0.01")
         assert found.met.value == pytest.approx(2.5, abs=0.01)
         assert "INFEASIBLE: no way" in " ".join(found.sentences)
+
+    def test_where_all_is_refused_nothing_is_nearest(self, scene: Scene, tmp_path: Path) -> None:
+        question = parse_question(scene, "limits.stroke_m=1e-4:4e-3", ["felt_error<=5%"], greatest=False)
+        row = {
+            "speed_m_s": "0.2",
+            "target": "",
+            "grip_N": "5",
+            "status": "INFEASIBLE",
+            "felt_error": "1.3",
+            "reason": "no",
+        }
+        found = answer(question, lambda values: [[row] for _ in values])
+        (told,) = found.sentences
+        assert "each has an entry without a certified answer, as 0.0001 m: 0.2 m/s, 5 N (INFEASIBLE: no)." in told
+        question_figure(found, "stroke [m]").savefig(tmp_path / "answer.png")
 
     def test_whole_numbers(self, scene: Scene) -> None:
         question = parse_question(scene, "time.stages=100:600", ["tap_error>=0.3"], greatest=False)
