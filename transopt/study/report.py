@@ -148,7 +148,10 @@ def study_answer(plan: Plan, rows: Sequence[Row]) -> list[str]:
         worst = max(known, key=lambda point: point.worst)
         whose = f"The {'target' if plan.scene.targets else 'tap'} farthest off, {worst.place},"
         if worst.worst - best.worst <= AT_FLOOR:
-            lines.append(f"{whose} has an error of {percent(worst.worst)} % whatever is varied.")
+            where = (
+                "whatever is varied" if len(known) == len(points) else "wherever each entry has a certified optimum"
+            )
+            lines.append(f"{whose} has an error of {percent(worst.worst)} % {where}.")
         else:
             after = known[known.index(best) + 1 :]
             ordered = len(plan.axes) == 1 and plan.axes[0].numeric and plan.sample is None

@@ -125,14 +125,21 @@ REFUSALS = {
         for status in (Status.INFEASIBLE, Status.HAND_OVER, Status.UNSTABLE_WALL, Status.UNRESOLVED, Status.PRECISION)
     ),
 }
+# Columns that an entry without a certified optimum lacks: its command is no answer, and so are its figures.
+OF_ANSWER = {
+    *(measure for measure in MEASURES if measure not in ("floor", "free_peak")),
+    *MULTIPLIER_COLUMNS.values(),
+    *("objective", "largest_multiplier", "binding", "price"),
+}
 Outcome = dict[str, Any]
 """What one entry came to: its number under "index", and a value for each column of `COLUMNS` that it has."""
 Row = dict[str, str]
 
 
 def outcome_of(entry: Entry, index: int, *, rivals: bool) -> Outcome:
-    """All columns of a solved entry; those of `RIVALS` only if wanted."""
-    return {"index": index, **{name: made(entry) for name, made in COLUMNS.items() if rivals or name not in RIVALS}}
+    """All columns of a solved entry; those of `RIVALS` only if wanted, and of `OF_ANSWER` only if it is admitted."""
+    lacks = (set() if rivals else RIVALS) | (set() if entry.status.admitted else OF_ANSWER)
+    return {"index": index, **{name: made(entry) for name, made in COLUMNS.items() if name not in lacks}}
 
 
 def _cell(value: Any) -> str:

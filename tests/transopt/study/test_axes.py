@@ -26,6 +26,7 @@ from transopt.study.axes import apply_settings, parse_axis
 from transopt.study.figures import PercentLocator, axis_label
 from transopt.study.plan import TOGETHER, Plan
 from transopt.study.recordings import StudyRecordings
+from transopt.study.report import study_answer
 from transopt.study.rows import COLUMNS, DEFECT, REFUSED, exit_code, row_of
 from transopt.study.tasks import Item, Task, run_task
 
@@ -265,10 +266,22 @@ def test_what_cannot_be_is_a_row_with_its_reason(scene: Scene, taps: list[Record
     assert (fine["status"], fine["reason"]) == ("OPTIMAL", "")
 
 
-def test_infeasible_entry_is_told(scene: Scene, taps: list[Recording]) -> None:
-    [outcome] = run_task(task(scene, taps, [{"limits.supply_V": 0.2}], [0.4]))
-    assert outcome["status"] == "INFEASIBLE"
-    assert "back-EMF" in outcome["reason"]
+def test_an_infeasible_entry_is_told_and_has_no_figures_of_an_answer(scene: Scene, taps: list[Recording]) -> None:
+    outcomes = run_task(task(scene, taps, [{"limits.supply_V": 0.2}, {}], [0.4]))
+    refused, fine = ({name for name, value in each.items() if str(value) != "nan"} for each in outcomes)
+    assert outcomes[0]["status"] == "INFEASIBLE"
+    assert "back-EMF" in outcomes[0]["reason"]
+    assert {"floor", "free_peak"} <= refused & fine
+    assert {"tap_error", "felt_error", "heat_A2_s", "peak_input", "objective", "binding"} <= fine - refused
+
+
+@pytest.mark.parametrize(("refused", "where"), [(False, "whatever is varied"), (True, "wherever each entry has a")])
+def test_where_nothing_changes_refused_points_are_no_part_of_it(scene: Scene, refused: bool, where: str) -> None:
+    plan = Plan(scene, (parse_axis(scene, "--vary", "limits.current_A=2,3"),), (0.4,), (5.0,))
+    place = {"speed_m_s": 0.4, "grip_N": 5.0, "target": "", "status": "OPTIMAL", "tap_error": 0.3}
+    second = {**place, "status": "INFEASIBLE", "tap_error": np.nan, "reason": "no"} if refused else place
+    rows = [row_of({"index": k, **each}, k, plan.labels(k)) for k, each in enumerate((place, second))]
+    assert f"has an error of 30.0 % {where}" in study_answer(plan, rows)[0]
 
 
 def test_a_defect_takes_nobody_with_it(scene: Scene, taps: list[Recording], monkeypatch: pytest.MonkeyPatch) -> None:
