@@ -63,7 +63,7 @@ class Grid(Section):
         if 0 < self.grips_N[0] < self.grip_min_N:
             raise ValueError(
                 f"grips_N: {self.grips_N[0]:g} N is below grip_min_N = {self.grip_min_N:g} N, "
-                "where no transient is played"
+                "where no transient is played: lower grip_min_N, or leave this grip out"
             )
         return self
 

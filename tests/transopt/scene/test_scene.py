@@ -115,7 +115,7 @@ def test_a_description_is_no_duty(tmp_path: Path) -> None:
         ("[0.1, 0.2", "[0.0, 0.2", r"grid.speeds_m_s#1 = 0.0: must be greater than or equal to 0.0001"),
         ("grips_N = [1.0", "grips_N = [-1.0", r"grid.grips_N#1 = -1.0: must be greater than or equal to 0"),
         ("grips_N = [1.0", "grips_N = [0.0", r"grip 0\) needs a scene of its own"),
-        ("grips_N = [1.0", "grips_N = [0.2", r"0.2 N is below grip_min_N = 0.5 N"),
+        ("grips_N = [1.0", "grips_N = [0.2", r"0.2 N is below grip_min_N = 0.5 N.* lower grip_min_N"),
         ("[1.0, 3.0, 5.0]", "[]", r"grid.grips_N = \[\]"),
         ("pole_Hz = 1050.0", "pole_Hz = -1.0", r"amplifier.pole_Hz = -1.0: must be greater than 0 Hz$"),
         ("pole_Hz = 1050.0", "", r"amplifier.pole_Hz: missing"),
