@@ -308,12 +308,16 @@ def _check_signs_and_units(trial: Measurement, tap: HandTap) -> None:
 
 
 def _displacement_ratio(trial: Measurement, tap: HandTap) -> float:
-    """Deviation measured by the encoder over that measured by the accelerometer."""
+    """Deviation measured by the encoder over that measured by the accelerometer.
+
+    What is straight in the position, or of constant acceleration, is the hand's own motion: no baseline has it.
+    """
     position = trial.require("position")
     force = trial.require("force")
     _, begin = _contact(force.values, force.dt_s)
-    straight = np.polynomial.Polynomial.fit(np.arange(begin), position.values[:begin], 1)
-    samples = np.arange(begin, begin + tap.force_N.size)
-    deviation = position.values[samples] - straight(samples)
-    y = tap.displacement_m
-    return float(deviation @ y / (y @ y))
+    before = min(begin, tap.force_N.size)
+    seen = position.values[begin - before : begin + tap.force_N.size]
+    deviation = np.concatenate([np.zeros(before), tap.displacement_m])
+    own = np.vander(np.linspace(-1, 1, seen.size), 3)
+    found, *_ = np.linalg.lstsq(np.column_stack([deviation / np.abs(deviation).max(), own]), seen)
+    return float(found[0] / np.abs(deviation).max())
