@@ -68,7 +68,14 @@ def fractions(s: ComplexArray, poles: ComplexArray) -> tuple[ComplexArray, Float
     return basis, A, b
 
 
-def vector_fit(s: ComplexArray, target: ComplexArray, weight: FloatArray, order: int, direct: bool) -> ComplexArray:
+def vector_fit(
+    s: ComplexArray,
+    target: ComplexArray,
+    weight: FloatArray,
+    order: int,
+    direct: bool,
+    relocations: int = RELOCATIONS,
+) -> ComplexArray:
     """(order,) stable poles of a rational function that fits `target` at the points s, conjugate pairs adjacent.
 
     Each iteration solves least squares for a numerator and a denominator with common poles; the zeros of the
@@ -79,13 +86,14 @@ def vector_fit(s: ComplexArray, target: ComplexArray, weight: FloatArray, order:
     ----------
     s : (m,) points, scaled to at most about 1. target : (m,) values there. weight : (m,) weights of their errors.
     direct : whether a constant (direct feedthrough) is added to the fractions.
+    relocations : number of iterations.
     """
     size = np.abs(s)
     imaginary = np.geomspace(size.min(), size.max(), order // 2)
     poles = np.stack([-0.1 * imaginary + 1j * imaginary, -0.1 * imaginary - 1j * imaginary], axis=1).ravel()
     if order % 2:
         poles = np.append(poles, -np.sqrt(size.min() * size.max()))
-    for _ in range(RELOCATIONS):
+    for _ in range(relocations):
         basis, A, b = fractions(s, poles)
         columns = [basis] + ([np.ones((s.size, 1))] if direct else []) + [-target[:, None] * basis]
         system = np.hstack(columns) * weight[:, None]
@@ -168,6 +176,7 @@ def fit_response(
     driven_by: Input,
     band_Hz: tuple[float, float] | None = None,
     deviations: FloatArray | None = None,
+    relocations: int = RELOCATIONS,
 ) -> ResponseFit:
     """Fit a state space of a given order to a response over a band.
 
@@ -178,6 +187,7 @@ def fit_response(
     order : number of states.
     band_Hz : lowest and highest frequency that count; None for all.
     deviations : (m,) standard deviations of real and imaginary part of each point; None if unknown.
+    relocations : iterations for the poles; with few of them a fit is rough and takes less time.
 
     Raises
     ------
@@ -207,7 +217,7 @@ def fit_response(
         weight = 1 / deviations
         noise = float(np.sqrt(2 * f.size) / np.linalg.norm(weight * G))
         weight = weight / weight.max()
-    poles = _resolved(vector_fit(s, G / largest, weight, order, direct=True), f, top)
+    poles = _resolved(vector_fit(s, G / largest, weight, order, True, relocations), f, top)
     free, held = (_nearest(s, G / largest, poles, weight, rests=zeros and order > 1) for zeros in (False, True))
     misfits = [_misfit(s, G / largest, poles, row, weight) for row in (free, held)]
     rests = order > 1 and bool(misfits[1] <= max(COSTS_NOTHING * misfits[0], EXACT))
