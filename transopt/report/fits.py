@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MultipleLocator, NullFormatter
 
-from transopt.base.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT, plain, style
+from transopt.base.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT, leave_room, plain, style
 from transopt.base.signals import ComplexArray, FloatArray
 from transopt.base.tables import Table
 from transopt.plant.amplifier import Amplifier, prefilter_coefficients
@@ -51,8 +51,10 @@ def value_table(title: str, rows: Iterable[Sequence[str]]) -> Table:
 
 def _magnitude_and_phase() -> tuple[Figure, Axes, Axes]:
     """An empty figure for a response over frequency."""
-    figure = Figure(figsize=(5.6, 5.2), layout="constrained")
+    figure = Figure(figsize=(5.6, 5.2))
     magnitude, phase = figure.subplots(2, 1, sharex=True)
+    leave_room(figure, left_in=0.82, right_in=0.1, below_in=0.5, above_in=0.1)
+    figure.subplots_adjust(hspace=0.06)
     phase.set_ylabel("phase [deg]", fontsize=LABEL_PT)
     phase.set_xlabel("frequency [Hz]", fontsize=LABEL_PT)
     phase.set_xscale("log")
