@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy import signal
+import scipy  # its modules load where they are used: most import this one for its constants
 
 import problems
 from transopt.base.errors import InputError
@@ -222,7 +222,7 @@ def recorded(
     x = 2 * np.pi * sensors.accelerometer_Hz * STEP_S
     q = np.exp(-x)
     after = 1 - (1 - q) / x
-    acceleration = signal.lfilter([after, 1 - q - after], [1, -q], acceleration, axis=1)
+    acceleration = scipy.signal.lfilter([after, 1 - q - after], [1, -q], acceleration, axis=1)
 
     dt, before = 1 / RATE_HZ, round(APPROACH_S * RATE_HZ)
     count = before + int(AFTER_S * RATE_HZ)

@@ -7,7 +7,7 @@ A motor that holds a hand back for 80 ms reaches no steady state, and how it end
 from dataclasses import replace
 
 import numpy as np
-from scipy import integrate, signal
+import scipy  # its modules load where they are used, not with every test
 
 from transopt.plant.time_grid import TimeGrid
 from transopt.references.reference import Reference
@@ -17,14 +17,14 @@ FROM_Hz = 8.0
 
 def without_slow_part(reference: Reference, grid: TimeGrid) -> Reference:
     """The reference whose slow part, below 8 Hz, the hand makes by itself: a_free, with the nominal motion of it."""
-    b, a = signal.butter(2, FROM_Hz, "highpass", fs=1 / grid.dt_s)
+    b, a = scipy.signal.butter(2, FROM_Hz, "highpass", fs=1 / grid.dt_s)
     N, L = grid.stages, reference.recorded_before_m_s2.size
     whole = np.concatenate([reference.recorded_before_m_s2, reference.recorded_m_s2, reference.recorded_after_m_s2])
-    slow = whole - signal.lfilter(b, a, whole)
+    slow = whole - scipy.signal.lfilter(b, a, whole)
     tau = np.append(grid.switching_times_s, grid.after_times_s)
     before = slow[L:] * (tau >= 0)
-    velocity = -reference.speed_m_s + integrate.cumulative_trapezoid(before, dx=grid.dt_s, initial=0)
-    position = integrate.cumulative_trapezoid(velocity, dx=grid.dt_s, initial=0) - reference.speed_m_s * tau[0]
+    velocity = -reference.speed_m_s + scipy.integrate.cumulative_trapezoid(before, dx=grid.dt_s, initial=0)
+    position = scipy.integrate.cumulative_trapezoid(velocity, dx=grid.dt_s, initial=0) - reference.speed_m_s * tau[0]
     return replace(
         reference,
         free_before_m_s2=slow[:L],
