@@ -56,14 +56,12 @@ def sampled_run(
     whole, late = split_delay(0.0 if amplifier is None else amplifier.delay_s, DT_S)
     early, rest = exponential(M * late), exponential(M * (DT_S - late))
     older = np.concatenate([np.zeros(whole + 1), felt])
-    x = np.zeros(n + 3)
-    states = np.empty((command_A.size, n + 3))
-    for k in range(command_A.size):
-        states[k] = x
-        x[-1] = older[k]  # c_(k - 1 - whole), until the delay is over
-        x = early @ x
-        x[-1] = older[k + 1]
-        x = rest @ x
+    # c_(k - 1 - whole) acts until the delay is over, and the next one after that.
+    whole_step = rest[:-1, :-1] @ early[:-1, :-1]
+    driven = np.outer(older[:-1], rest[:-1, :-1] @ early[:-1, -1]) + np.outer(older[1:], rest[:-1, -1])
+    states = np.zeros((command_A.size, n + 2))
+    for k in range(command_A.size - 1):
+        states[k + 1] = whole_step.dot(states[k]) + driven[k]
     current = states[:, n] if amplifier is not None else older[: command_A.size]
     return current, states[:, n + 1], states[:, :n] @ plant.Ce[0]
 
@@ -134,7 +132,7 @@ class Rig:
         return [self.record(f"burst_{grip:g}N.npz", grip, command, 5000 + seed) for grip in grips_N]
 
     def loud(self, noise: float) -> "Rig":
-        return replace(self, noise=noise, runs={})
+        return replace(self, noise=noise)
 
 
 def spoilt(run: Measurement, quantity: str, change: Callable[[FloatArray], FloatArray]) -> Measurement:

@@ -92,11 +92,13 @@ def test_a_free_device_among_the_grips_changes_nothing_for_the_others() -> None:
         assert [trial for trial in sweep_plan(purpose, (0.0, 1.0, 5.0), 3, tap_A=2.0) if trial.grip_N > 0] == alone
 
 
-def held(rig: Rig = RIG, trials: int = 3, **sweep: float) -> str:
+@cache
+def held(noise: float = 1.0, trials: int = 3, **sweep: float) -> str:
     """What is said of sweeps of one held grip."""
-    return of_device(recorded(rig, sweep_plan(Purpose.DEVICE, (3.0,), trials, **sweep)))
+    return of_device(recorded(RIG.loud(noise), sweep_plan(Purpose.DEVICE, (3.0,), trials, **sweep)))
 
 
+@cache
 def of_amplifier(spoil: Callable[[FloatArray], FloatArray] = lambda x: x, **sweep: float) -> str:
     """What is said of one sweep of an amplifier whose current is spoilt."""
     trial = amplifier_trial(1, crossover_A=0.0, **sweep)
@@ -121,7 +123,7 @@ def bent(tap: HandTap) -> HandTap:
     return replace(tap, force_N=tap.force_N * (1 + 0.012 * (tap.grip_N - 4.5) ** 2))
 
 
-LOUD, SHORT = RIG.loud(20.0), {"seconds": 0.5, "low_Hz": 2.0}
+LOUD, SHORT = 20.0, {"seconds": 0.5, "low_Hz": 2.0}
 FAINT, MASS = {"seconds": 0.3, "noise_A": 0.01}, Session(hands=second_order_hands)
 FEW = replace(MASS, grips=3, speeds=4, spread=Spread(0.34, 0.3, 0.3))
 CASES: dict[str, tuple[str, Callable[[], str], Callable[[], str]]] = {
