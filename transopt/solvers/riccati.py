@@ -24,9 +24,6 @@ __all__ = ["available", "can_solve", "solve", "stages"]
 # leaves three digits to the certificate's tolerance; more digits only cost iterations.
 LOOSER = 10.0
 BOUND = 1e-6  # least multiplier, in scaled units, of a limit that binds; others have about the tolerance
-# Searches that follow a trial have one of few lengths, so that taps whose limits bind about as long share a search.
-LENGTHS = 16 / 3  # of all stages; the shortest is that of a search of which nothing is known
-BEYOND = 24  # stages after the last at which a limit bound in the trial before, since that moves a little
 MOST_TARGETS, MOST_LIMITS = 256, 32  # targets of which trials are known, and limits of each
 
 Spans = dict[int, tuple[Target, dict[float, int]]]  # as `TrialOptions.spans`
@@ -65,7 +62,7 @@ def solve(problems: Sequence[TransientProblem], options: SolverOptions) -> list[
         given,
         tolerance=LOOSER * options.tolerance,
         max_iterations=options.max_iterations,
-        first=[] if spans is None else [_first_length(each.problem, spans) for each in given],
+        first=[] if spans is None else [_known_span(each.problem, spans) for each in given],
     )
     if spans is not None:
         for each, answer in zip(given, answers, strict=True):
@@ -85,8 +82,8 @@ def _note(spans: Spans, problem: TransientProblem, span: int) -> None:
         del known[next(iter(known))]
 
 
-def _first_length(problem: TransientProblem, spans: Spans) -> int:
-    """Stages at which limits are stated first, by the trials of the same target; 0 where there was none.
+def _known_span(problem: TransientProblem, spans: Spans) -> int:
+    """Stages up to which limits bound in trials of the same target; 0 where there was none.
 
     Of the trials under the next lower and the next higher limit the longer counts, since too short a search is begun
     anew.
@@ -95,9 +92,7 @@ def _first_length(problem: TransientProblem, spans: Spans) -> int:
     limit = problem.limits.input_limit
     lower = max((at for at in known if at <= limit), default=None)
     higher = min((at for at in known if at >= limit), default=None)
-    span = max((known[at] for at in (lower, higher) if at is not None), default=-BEYOND)
-    length = max(round(problem.grid.stages / LENGTHS), 1)
-    return length * -(-(span + BEYOND) // length)
+    return max((known[at] for at in (lower, higher) if at is not None), default=0)
 
 
 def _span(answer: Answer) -> int:

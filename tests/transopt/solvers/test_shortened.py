@@ -72,8 +72,8 @@ def test_the_answer_is_that_of_the_whole_search(saturated: TransientProblem, bey
 
 
 def test_a_search_is_lengthened_until_it_leaves_no_limit(saturated: TransientProblem) -> None:
-    """Side by side, taps whose limits bind early and late: the answers of one search over all stages."""
-    limits = saturated.limits.input_limit * np.linspace(1.0, 0.4, 9)
+    """Taps whose limits bind early and late share the longer searches: the answers of one over all stages."""
+    limits = saturated.limits.input_limit * np.random.default_rng(9).permutation(np.linspace(1.0, 0.4, 19))
     given = [stages(with_numbers(saturated, current_A=limit)) for limit in limits]
     found = extension.interior_points(given, tolerance=TOLERANCE, max_iterations=60)
     assert min(map(last_bound, found)) < saturated.grid.stages // 8
@@ -90,7 +90,7 @@ def test_a_search_is_lengthened_until_it_leaves_no_limit(saturated: TransientPro
 
 @pytest.mark.parametrize("first", [1, 20, 150, 450, 700])
 def test_where_a_search_begins_does_not_change_its_answer(saturated: TransientProblem, first: int) -> None:
-    """Too few stages are lengthened; too many take longer. Two taps with other numbers are not searched together."""
+    """Too few stages are lengthened; too many take longer."""
     given = [stages(with_numbers(saturated, current_A=limit)) for limit in (1.0, 4.0, 4.0)]
     asked = {"tolerance": TOLERANCE, "max_iterations": 60}
     whole = [answer(each.problem, each.problem.free_stages) for each in given]
@@ -127,7 +127,7 @@ def test_a_trial_begins_where_limits_bound_under_the_next_limits_before(
     begins = [first for (first,) in begun]
     assert begins[0] == 0  # nothing is known yet
     for first, last in zip(begins[1:], (of_late, of_late, of_saturated, of_late, of_late), strict=True):
-        assert last < first < last + riccati.BEYOND + 1 + saturated.grid.stages / riccati.LENGTHS
+        assert abs(first - last) < 8  # the last multipliers are small, and those of a short search end earlier
     riccati.solve([aiming_in_window(saturated, 2 * saturated.reference_m_s2)], trial)
     riccati.solve([late], SolverOptions("riccati"))
     assert begun[-2:] == [[0], []]

@@ -22,7 +22,7 @@ from transopt.solvers.stage_data import Stages, records_of
 
 EXTENSION = "_riccati.pyd" if os.name == "nt" else "_riccati.so"
 MOST_STATES, MOST_MOTORS, MOST_ROWS = 96, 4, 128  # of riccati.c
-INTERFACE = 13  # version as in `tr_interface` of riccati.c; both change with the meaning of arguments or results
+INTERFACE = 14  # version as in `tr_interface` of riccati.c; both change with the meaning of arguments or results
 
 
 class _Host(ct.Structure):
@@ -137,11 +137,11 @@ def _at(arrays: Mapping[str, FloatArray], fields: list[tuple[str, np.dtype[Any]]
     return found
 
 
-def of_equal_sizes(given: Sequence[Stages], first: Sequence[int] = ()) -> Iterator[list[int]]:
-    """Groups of indices of problems with equal sizes, and equal numbers `first`, which can be solved side by side."""
+def of_equal_sizes(given: Sequence[Stages]) -> Iterator[list[int]]:
+    """Groups of indices of problems with equal sizes, which can be solved side by side."""
     groups: dict[tuple[int, ...], list[int]] = {}
     for i, stages in enumerate(given):
-        groups.setdefault((*stages.sizes.values(), *first[i : i + 1]), []).append(i)
+        groups.setdefault(tuple(stages.sizes.values()), []).append(i)
     yield from groups.values()
 
 
@@ -154,7 +154,7 @@ def _answers(
     """
     assert _LIBRARY is not None
     found: dict[int, Answer] = {}
-    for group in of_equal_sizes(given, first):
+    for group in of_equal_sizes(given):
         some, count = [given[i] for i in group], len(group)
         N, motors, rows, nodes = (some[0].sizes[name] for name in ("stages", "motors", "rows", "nodes"))
         (command, gradient), size = np.zeros((2, count, N, motors)), np.zeros((count, N))
@@ -164,7 +164,7 @@ def _answers(
         arrays = {"command": command, "size": size, "gradient": gradient, "start": start}
         problems = records_of([each.record for each in some])
         results = _at(arrays | {"lower": sides[0], "upper": sides[1]}, RESULT)
-        results["first"] = first[group[0]] if first else 0
+        results["first"] = [first[i] for i in group] if first else 0
         at, into = problems.ctypes.data, results.ctypes.data
         if cut:
             space = _workspace(_LIBRARY.tr_shortened_workspace(at))
@@ -192,8 +192,8 @@ def interior_points(
     cut : only for a single problem without taps that repeat. If it is above 0, there is one search, with the limits
         stated at the stages before it alone: over so many stages, much shorter if limits bind early. The caller must
         check the limits from there on.
-    first : for each problem the stages at which limits are stated first, 0 for as many as usually suffice. A good
-        number spares searches that are too short or too long; the answer is the same up to the tolerance.
+    first : for each problem the stages up to which limits bind, as far as the caller knows, 0 where it does not. A
+        good number spares searches that are too short or too long; the answer is the same up to the tolerance.
 
     Raises
     ------

@@ -8,12 +8,12 @@ static const double LOOK_S = 0.01; /* processor time between two checks for sign
 
 enum {
     MARGIN = 24,       /* stages beyond the last at which a limit is left, up to which limits are stated */
-    STEPS = 16,        /* lengths of a search */
-    FIRST = 3,         /* length of the first one */
     LEAST_STAGES = 64, /* of a problem whose search may be shorter */
+    MOST_POOLED = 128, /* problems whose longer searches are shared; a multiple of the lanes */
     ENDED = -1         /* in place of the stages of a problem's next search */
 };
 
+static const double LENGTH = 3.0 / 16.0; /* of the first search, relative to all stages; longer ones are multiples of it */
 static const double TIGHTER = 0.01; /* tolerance of a short search: two digits cost a thirtieth of its iterations */
 
 static tr_watch released(const tr_host *host)
@@ -80,7 +80,7 @@ static const tr_kernel *kernel_for(const tr_problem *q, int count, int *taken)
 }
 
 /* Version of the interface, incremented when arguments or results change; callers must check it. */
-int tr_interface(void) { return 13; }
+int tr_interface(void) { return 14; }
 
 static int fits(const tr_problem *q)
 {
@@ -134,45 +134,48 @@ static int has_bounds(const tr_problem *q)
     return 1;
 }
 
-/* Stages of the next search for a problem whose answer leaves limits up to the stage `last`: a little more, in steps, so
- * that alike problems have as many; all of them where the others are few. */
+/* Stages of the next search for a problem whose answer leaves limits up to the stage `last`: a little more, of few lengths,
+ * so that many problems share a search; all of them where the others are few. */
 static int cut_after(const tr_problem *q, int last)
 {
-    const int step = q->stages / STEPS, cut = (last + MARGIN) / step * step + step;
+    const int length = (int)(LENGTH * q->stages), cut = ((last + MARGIN) / length + 1) * length;
     return cut > 3 * q->free_stages / 4 ? q->stages : cut;
 }
 
-/* Stages of the first search for a problem; the caller may know better than the usual number. */
-static int first_cut(const tr_problem *q, int first)
+/* Stages of the first search for a problem whose limits bind up to the stage `last`, as far as the caller knows. */
+static int first_cut(const tr_problem *q, int last)
 {
-    if (!shortens(q) || first > 3 * q->free_stages / 4) return q->stages;
-    return first > 0 ? first : q->stages / STEPS * FIRST;
+    return shortens(q) ? cut_after(q, last > 0 ? last : -MARGIN) : q->stages;
 }
 
-/* Solve problems side by side, `taken` of the kernel's. Returns TR_INTERRUPTED, or 0.
+/* Solve problems of equal sizes, at most `MOST_POOLED`. Returns TR_INTERRUPTED, or 0.
  *
  * Limits bind early as a rule: they are first stated at the first stages alone, then up to the last stage at which that
- * answer leaves them. What an answer keeps everywhere has bound nothing. A problem has the same kernel all along, so that
- * its answer does not depend on the problems beside it.
+ * answer leaves them. What an answer keeps everywhere has bound nothing. Few problems need the longer searches; those
+ * that need as many stages share one. A problem has the same kernel all along, so that its answer does not depend on the
+ * problems beside it.
  */
-static int search(const tr_kernel *kernel, const tr_problem *q, int taken, const tr_options *options, double *space,
-                  tr_result *r, tr_watch *watch)
+static int search(const tr_problem *q, int count, const tr_options *options, double *space, tr_result *r, tr_watch *watch)
 {
-    const tr_problem *some[MOST_ENTRIES];
-    tr_result *theirs[MOST_ENTRIES];
-    int last[MOST_ENTRIES], cut[MOST_ENTRIES], of[MOST_ENTRIES];
+    const tr_kernel *kernels[MOST_POOLED];
+    int cut[MOST_POOLED];
     tr_options tighter = *options;
     tighter.tolerance *= TIGHTER;
-    for (int e = 0; e < taken; e++) cut[e] = first_cut(q, r[e].first);
-    for (int first = 0; first < taken;) {
-        int found = 0, failed;
-        if (cut[first] == ENDED) {
-            first++;
-            continue;
-        }
-        for (int e = first; e < taken; e++)
-            if (cut[e] == cut[first]) some[found] = q + e, theirs[found] = r + e, of[found++] = e;
-        const int stages = cut[first];
+    for (int i = 0, taken; i < count; i += taken) {
+        const tr_kernel *kernel = kernel_for(q + i, count - i, &taken);
+        for (int e = i; e < i + taken; e++) kernels[e] = kernel, cut[e] = first_cut(q, r[e].first);
+    }
+    for (;;) {
+        const tr_problem *some[MOST_ENTRIES];
+        tr_result *theirs[MOST_ENTRIES];
+        int last[MOST_ENTRIES], of[MOST_ENTRIES], found = 0, shortest = ENDED, failed;
+        for (int i = 0; i < count; i++)
+            if (cut[i] != ENDED && (shortest == ENDED || cut[i] < cut[shortest])) shortest = i;
+        if (shortest == ENDED) return 0;
+        const tr_kernel *kernel = kernels[shortest];
+        const int stages = cut[shortest];
+        for (int i = shortest; i < count && found < kernel->entries; i++)
+            if (cut[i] == stages && kernels[i] == kernel) some[found] = q + i, theirs[found] = r + i, of[found++] = i;
         FILL(some, found);
         FILL(theirs, found);
         failed = stages < q->stages ? kernel->shortened(some, stages, &tighter, space, theirs, last, watch)
@@ -184,7 +187,6 @@ static int search(const tr_kernel *kernel, const tr_problem *q, int taken, const
             cut[of[e]] = ended ? ENDED : solved ? cut_after(q, last[e]) : q->stages;
         }
     }
-    return 0;
 }
 
 /* Solve `count` problems of equal sizes; the caller certifies the answers. Each result has its code. Returns 0, or the
@@ -202,10 +204,8 @@ int tr_solve(int count, const tr_problem *q, const tr_options *options, double *
         if (!has_bounds(q + i)) r[i].code = failed = TR_NO_BOUNDS;
     if (failed) return failed;
     tr_watch watch = released(options->host);
-    for (int i = 0, taken; i < count && !failed; i += taken) {
-        const tr_kernel *kernel = kernel_for(q + i, count - i, &taken);
-        failed = search(kernel, q + i, taken, options, space, r + i, &watch);
-    }
+    for (int i = 0; i < count && !failed; i += MOST_POOLED)
+        failed = search(q + i, count - i < MOST_POOLED ? count - i : MOST_POOLED, options, space, r + i, &watch);
     acquired(&watch);
     return failed;
 }

@@ -46,7 +46,7 @@ typedef struct {
     double *gradient;          /* (N, m) of the Lagrangian by u, with the hand-over's rule as feedback */
     double *start;             /* (nodes) th_0 */
     int code, iterations;
-    int first; /* in `tr_solve`: stages at which limits are stated first; 0: as many as usually suffice */
+    int first; /* in `tr_solve`: stages up to which limits bind, as far as the caller knows; 0: not known */
     double objective, gap, residual;
 } tr_result;
 
