@@ -9,6 +9,7 @@ static const double LOOK_S = 0.01; /* processor time between two checks for sign
 enum {
     MARGIN = 24,       /* stages beyond the last at which a limit is left, up to which limits are stated */
     LEAST_STAGES = 64, /* of a problem whose search may be shorter */
+    GROWTH = 3,        /* of a search whose answer leaves limits */
     MOST_POOLED = 128, /* problems whose longer searches are shared; a multiple of the lanes */
     ENDED = -1         /* in place of the stages of a problem's next search */
 };
@@ -134,12 +135,20 @@ static int has_bounds(const tr_problem *q)
     return 1;
 }
 
-/* Stages of the next search for a problem whose answer leaves limits up to the stage `last`: a little more, of few lengths,
- * so that many problems share a search; all of them where the others are few. */
+/* Stages of a search for a problem whose limits bind up to the stage `last`: a little more, of few lengths, so that many
+ * problems share a search; all of them where the others are few. */
 static int cut_after(const tr_problem *q, int last)
 {
     const int length = (int)(LENGTH * q->stages), cut = ((last + MARGIN) / length + 1) * length;
     return cut > 3 * q->free_stages / 4 ? q->stages : cut;
+}
+
+/* Stages of the next search after one of `cut` stages whose answer leaves limits up to the stage `last`: `GROWTH` times as
+ * many suffice as a rule, since an answer that keeps more limits leaves fewer. */
+static int next_cut(const tr_problem *q, int cut, int last)
+{
+    const int wanted = cut_after(q, last);
+    return last < q->stages && wanted > GROWTH * cut ? cut_after(q, GROWTH * cut - MARGIN - 1) : wanted;
 }
 
 /* Stages of the first search for a problem whose limits bind up to the stage `last`, as far as the caller knows. */
@@ -184,7 +193,7 @@ static int search(const tr_problem *q, int count, const tr_options *options, dou
         for (int e = 0; e < found; e++) {
             const int solved = theirs[e]->code == TR_SOLVED || theirs[e]->code == TR_ACCURACY;
             const int ended = stages == q->stages || (solved && last[e] < 0);
-            cut[of[e]] = ended ? ENDED : solved ? cut_after(q, last[e]) : q->stages;
+            cut[of[e]] = ended ? ENDED : solved ? next_cut(q, stages, last[e]) : q->stages;
         }
     }
 }
