@@ -1,5 +1,6 @@
 """The plan of a constraint study: its points, the rows of their entries, the tasks that solve them."""
 
+import hashlib
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -161,6 +162,7 @@ class Plan:
         entry may differ in its last digits, and a resumed study must end with the same rows as an uninterrupted one.
         """
         names = self.scene.axes.targets or ("",) * len(self.speeds_m_s)
+        scene = hashlib.sha256(self.scene.model_dump_json().encode()).hexdigest()
         for points in self.groups():
             recordings, source = recorded.of(self.changes(points[0]))
             for ig, grip in enumerate(self.grips_N):
@@ -172,7 +174,7 @@ class Plan:
                     yield Task(
                         scene=self.scene,
                         recordings=recordings,
-                        source=source,
+                        source=f"{scene} {source}",
                         grip_N=grip,
                         points=tuple(self.changes(p) for p in own),
                         items=tuple(

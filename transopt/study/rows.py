@@ -3,6 +3,7 @@
 Each column is declared once, with its value for a solved entry; store, rows.csv, tables and questions use its name.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -27,13 +28,12 @@ def _multiplier(kind_label: str) -> Callable[[Entry], float]:
     """The largest multiplier of a limit; NaN if the problem lacks the limit or the command is not finite."""
 
     def largest(entry: Entry) -> float:
-        if not np.all(np.isfinite(entry.solution.command)):
-            return NAN
         problem, multipliers = entry.problem, entry.solution.multipliers
         own = [row.name for limit, row in problem.rows() if limit.label == kind_label]
         if problem.thermal is not None and problem.thermal.label == kind_label:
             own.append(TEMPERATURE)
-        return max(map(multipliers.most, own), default=NAN)
+        known = own and np.isfinite(entry.solution.command).all()
+        return max(map(multipliers.most, own)) if known else NAN
 
     return largest
 
@@ -144,8 +144,8 @@ def outcome_of(entry: Entry, index: int, *, rivals: bool) -> Outcome:
 
 def _cell(value: Any) -> str:
     """A value as one line of text; empty for NaN."""
-    if isinstance(value, float) and np.isnan(value):
-        return ""
+    if isinstance(value, float):
+        return "" if math.isnan(value) else label(value)
     return " ".join(label(value).split())
 
 

@@ -21,7 +21,7 @@ from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
 from transopt.study.rows import DEFECT, REFUSED, Outcome, outcome_of
 
-KEPT_REFERENCES = 8
+KEPT_REFERENCES, KEPT_SCENES = 8, 256
 # Parts of a scene that its references depend on, those of the hand's device among them.
 RECORDED = ("recordings", "targets", "grid", "hand", "model", "motor", "transmission", "tip", "amplifier", "time")
 
@@ -46,7 +46,7 @@ class Task:
     Attributes
     ----------
     scene : the unchanged scene; its grid has the recorded speeds. points : changes of keys, one per point.
-    recordings : recordings for all of its points. source : identifies them in cache keys.
+    recordings : recordings for all of its points. source : identifies scene and recordings in cache keys.
     rivals : whether baselines and prices of the limits are wanted, which cost more than the optimum.
     """
 
@@ -61,18 +61,24 @@ class Task:
 
 
 _recorded: Kept[Context] = Kept(KEPT_REFERENCES)
+_scenes: Kept[tuple[Scene, Scene, str]] = Kept(KEPT_SCENES)
 # All problems of one shape share CasADi's solver objects. If another thread calls one before its status is read, the
 # status is that of the wrong problem.
 _one_at_a_time = threading.Lock()
 
 
 def _context(task: Task, changes: Changes) -> Context:
-    """The context of one scene of a task; parts that depend only on its recordings are cached."""
+    """The context of one scene of a task; the scene, and the parts that depend only on its recordings, are cached."""
+    scene, recorded, key = _scenes.get(f"{task.source} {changes!r}", lambda: _scene(task, changes))
+    return _recorded.get(key, lambda: Context.recorded(recorded, task.recordings)).varied(scene)
+
+
+def _scene(task: Task, changes: Changes) -> tuple[Scene, Scene, str]:
+    """One scene of a task, the same with the recorded grid, and the key of what depends only on recordings."""
     scene = with_values(task.scene, changes)
     recorded = scene.model_copy(update={"grid": task.scene.grid})
     of = json.dumps(recorded.model_dump(include=set(RECORDED), mode="json"), sort_keys=True)
-    key = f"{task.source} {scene.time_grid()} {of}"
-    return _recorded.get(key, lambda: Context.recorded(recorded, task.recordings)).varied(scene)
+    return scene, recorded, f"{task.source} {scene.time_grid()} {of}"
 
 
 def _ended(task: Task, item: Item, error: Exception) -> Outcome:

@@ -212,7 +212,8 @@ def task(
 ) -> Task:
     pairs = [(p, speed) for p in range(len(points)) for speed in speeds]
     items = tuple(Item(j, p, speed) for j, (p, speed) in enumerate(pairs))
-    return Task(scene, tuple(taps), "of the session", grip_N, tuple(points), items, SolverOptions())
+    source = f"of the session {scene.model_dump_json()}"
+    return Task(scene, tuple(taps), source, grip_N, tuple(points), items, SolverOptions())
 
 
 def test_same_as_the_library(scene: Scene, taps: list[Recording], build: Build) -> None:
