@@ -192,7 +192,7 @@ class TransientProblem:
         linear are dropped.
         """
         found = self if self.thermal is None else self.replaced(self.thermal.relaxed())
-        return found.without(*(name for name in self.nonlinear if name != TemperatureLimit.name))
+        return found.without(*self.own_nonlinear)
 
     def alone(self) -> "TransientProblem":
         """The problem for its own device alone, without the spread and without a price on intensity."""
@@ -283,6 +283,11 @@ class TransientProblem:
     def nonlinear(self) -> tuple[str, ...]:
         """Names of the limits that are not linear, which a quadratic program cannot contain."""
         return self.limits.nonlinear
+
+    @property
+    def own_nonlinear(self) -> tuple[str, ...]:
+        """Those but the temperature: a user's own, under which a certificate proves a stationary point only."""
+        return tuple(name for name in self.nonlinear if name != TemperatureLimit.name)
 
     @cached_property
     def thermal(self) -> TemperatureLimit | None:

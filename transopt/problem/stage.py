@@ -177,7 +177,6 @@ class LinearStage:
     errors : number of tracked outputs.
     C, E : (outputs, n) and (outputs, m), outputs with a cost by x_k and by dc_k: every tracked acceleration through
         the filter of every term, over sqrt(E), then the inputs in their own unit if heat has a price.
-    unit_m_s2 : sqrt(E), the unit of the tracked outputs; 1 for a tap of zero.
     feedback : (2, n) deviation of the wall's feedback current at this tick and at the one before [A].
     outputs : for each of S devices, or of m motors: named output -> (n,) and scalar, its value in SI by x_k and by
         the movement of the command (with several motors its own), for an input scale of 1; both grow with the scale.
@@ -190,7 +189,6 @@ class LinearStage:
     errors: int
     C: FloatArray
     E: FloatArray
-    unit_m_s2: float
     feedback: FloatArray
     outputs: tuple[Mapping[str, tuple[FloatArray, float]], ...]
 
@@ -227,7 +225,6 @@ class LinearStage:
             errors=self.errors,
             C=self.C * by[:, None],
             E=self.E * by[:, None],
-            unit_m_s2=unit_m_s2,
             feedback=self.feedback * input_scale,
             outputs=self.outputs,
         )
@@ -375,7 +372,6 @@ def _linear(problem: TransientProblem, current: float, *, physical_scale: bool) 
         errors=where.errors,
         C=C * units / unit_of[:, None],
         E=E * current / unit_of[:, None],
-        unit_m_s2=unit,
         feedback=feedback * units,
         outputs=tuple(
             _named(stage, device, motor, where, per_input)

@@ -8,7 +8,6 @@ from transopt.plant.wall import Wall
 from transopt.problem.answer import Status
 from transopt.problem.limits import hand_over
 from transopt.problem.limits.limit import Limit, tolerated
-from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.problem.wall_ticks import encoder_course, pressing
 from transopt.proof.continuous import AGREEMENT, after_s
@@ -41,9 +40,7 @@ def _admitted(designed: Designed, played: Replay) -> tuple[Status, list[str]]:
     status, certificate, problem = designed.solution.status, designed.certificate, designed.problem
     if status is not Status.OPTIMAL:
         return status, [status.value]
-    # Under a user's own limit that is not convex, the certificate proves a stationary point only.
-    stationary = certificate.is_stationary and any(name != TemperatureLimit.name for name in problem.nonlinear)
-    if not (certificate.accepted or stationary):
+    if not designed.is_accepted:
         below = certificate.is_stationary and certificate.relative_bound > certificate.BOUND_TOLERANCE
         return Status.NOT_GLOBAL if below else Status.NOT_CERTIFIED, [_unproven(designed)]
     command = designed.solution.command

@@ -30,13 +30,11 @@ class ArmMotion:
     acceleration_m_s2 : (3, N + M) acceleration of the stylus along normal and tangents, at the switching instants.
     without_m_s2 : (3, N + M) the same without any command, by the motion of the arm alone.
     moved_m : (N + M,) distance of the stylus from the point of contact.
-    turned_rad : (N + M,) largest rotation of a joint since contact.
     """
 
     acceleration_m_s2: FloatArray
     without_m_s2: FloatArray
     moved_m: FloatArray
-    turned_rad: FloatArray
 
 
 @dataclass(frozen=True)
@@ -113,7 +111,6 @@ def replay_on_arm(
         acceleration_m_s2=frame @ played[1],
         without_m_s2=frame @ silent[1],
         moved_m=np.linalg.norm(states[3:6] - device.start[3:6, None], axis=0),
-        turned_rad=np.abs(states[:3] - device.start[:3, None]).max(axis=0),
     )
 
 

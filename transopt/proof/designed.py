@@ -117,6 +117,11 @@ class Designed:
         return self.solution.status is Status.OPTIMAL and self.certificate.is_stationary
 
     @property
+    def is_accepted(self) -> bool:
+        """Whether it is the certified optimum, or a certified stationary point under a user's own nonlinear limit."""
+        return self.is_proven and (self.certificate.accepted or bool(self.problem.own_nonlinear))
+
+    @property
     def missed(self) -> list[Box]:
         """The row farthest out of each limit that the answer leaves by more than its tolerance."""
         rows = [farthest_out(self.effect, limit) for limit in self.problem.limits]

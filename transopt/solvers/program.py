@@ -37,7 +37,7 @@ class Program:
     rows : kind -> slice of g: "dynamics", "heat", "size_above", "size_below", "pause", "hand_over", and the name of
         every row of `shape.rows`.
     qp_data : Function p -> (H sparse, q, A sparse) of 1/2 x'Hx + q'x, lb <= A x <= ub; undefined for a problem with
-        the temperature (`nlp_only`).
+        the temperature.
     """
 
     shape: Shape
@@ -47,7 +47,6 @@ class Program:
     f: ca.MX
     g: ca.MX
     rows: dict[str, slice]
-    nlp_only: bool
     _qp_data: ca.Function | None
 
     @property
@@ -255,4 +254,4 @@ def state_program(shape: Shape) -> Program:
         at_zero = ca.substitute(gradient, x, ca.DM.zeros(x.numel()))
         qp_data = ca.Function("qp_data", [p], [hessian, at_zero, ca.jacobian(g, x)], ["p"], ["H", "q", "A"])
     rows_of = {name: slice(int(ends[j]), int(ends[j + 1])) for j, name in enumerate(rows)}
-    return Program(shape, x, p, tuple(symbols), f, g, rows_of, qp_data is None, qp_data)
+    return Program(shape, x, p, tuple(symbols), f, g, rows_of, qp_data)

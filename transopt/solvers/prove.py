@@ -71,7 +71,7 @@ def _of_the_worst(mean: Certificate, effect: Effect) -> Certificate:
 def _is_known(effect: Effect, multipliers: Multipliers) -> bool:
     """Whether the compiled call can judge a problem, its command and its multipliers."""
     problem, command = effect.problem, effect.command
-    if not available or problem.reference_is_zero or set(problem.nonlinear) - {TemperatureLimit.name}:
+    if not available or problem.reference_is_zero or problem.own_nonlinear:
         return False
     # Extended precision and values that are not finite are left to `proof.certify`.
     if not command.dtype == problem.stage.A.dtype == np.float64 or multipliers.upper(TEMPERATURE).any():

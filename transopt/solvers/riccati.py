@@ -9,7 +9,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from transopt.problem.answer import Solution, Status
-from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import layout
@@ -44,7 +43,7 @@ def can_solve(problem: TransientProblem) -> bool:
     """Whether the extension exists and the problem fits it; many devices may have too many states or rows."""
     nodes = 0 if problem.thermal is None else problem.thermal.model.nodes
     # The temperature is the only nonlinear limit that the compiled recursion can handle.
-    if set(problem.nonlinear) - {TemperatureLimit.name}:
+    if problem.own_nonlinear:
         return False
     where = layout(problem)
     return available and takes(where.states + nodes, where.motors, len(problem.rows()) + ROWS_OF_HEAT)

@@ -119,7 +119,7 @@ class Shown:
 
 def shown(indices: Sequence[int], entries: Sequence[Entry]) -> list[Shown]:
     """Taps of one scene from their entries, before they are replayed."""
-    clipped, certified = _clipped(entries), [entry for entry in entries if _is_certified(entry)]
+    clipped, certified = _clipped(entries), [entry for entry in entries if entry.designed.is_accepted]
     warm_up([entry.designed.effect for entry in certified])
     own = dict(zip(map(id, certified), _figures(certified), strict=True))
     return [
@@ -201,17 +201,6 @@ def _shown(
         binds=entry.binding if certified else "",
         curves=curves,
     )
-
-
-def _is_certified(entry: Entry) -> bool:
-    """Whether an answer has an accepted certificate, or is a stationary point under a user's own nonlinear limit."""
-    return entry.solution.status is Status.OPTIMAL and (entry.certificate.accepted or _is_stationary(entry))
-
-
-def _is_stationary(entry: Entry) -> bool:
-    """Whether the answer is a certified stationary point under a user's own nonlinear limit."""
-    own = any(name != TemperatureLimit.name for name in entry.problem.nonlinear)
-    return entry.certificate.is_stationary and own
 
 
 def plain(shown: Shown) -> dict[str, Any]:
