@@ -149,13 +149,9 @@ def _pushes_elsewhere(played: Replay, problem: TransientProblem, command: FloatA
 def _after_hand_over(played: Replay, problem: TransientProblem, late: list[Limit]) -> str:
     """Message on the limits that the wall alone exceeds after the waveform."""
     assert problem.wall is not None
-    exceeded = " and ".join(
-        f"a {limit.label} of {played.peak(limit):.6g} {limit.unit}, {played.peak(limit) - limit.stated:.2g} "
-        f"{limit.unit} over its limit of {limit.stated:g} {limit.unit}"
-        for limit in late
-    )
+    exceeded = " and the ".join(limit.missed(played.peak(limit) - limit.stated) for limit in late)
     return (
-        f"hand-over: within {after_s(problem.grid) * 1e3:g} ms after the last command the wall alone asks for "
+        f"hand-over: within {after_s(problem.grid) * 1e3:g} ms after the last command the wall alone brings the "
         f"{exceeded}, with {stated_wall(problem.wall.wall)}"
     )
 

@@ -49,9 +49,9 @@ def test_what_the_wall_asks_for_after_the_waveform_is_the_hand_overs(walled: tup
     assert set(found) == {Status.OPTIMAL, Status.HAND_OVER}
     said, would_do = found[Status.HAND_OVER]
     assert said.startswith(
-        "hand-over: within 20 ms after the last command the wall alone asks for a current of 0.986"
+        "hand-over: within 20 ms after the last command the wall alone brings the current 0.0266 A "
     )
-    assert "over its limit of 0.96 A, with feedback.stiffness_N_m = 50 N/m" in said
+    assert "over its limit 0.96 A, with feedback.stiffness_N_m = 50 N/m" in said
     assert would_do.startswith("feedback.stiffness_N_m = ")
     assert would_do.endswith(" would do")
 
