@@ -286,7 +286,7 @@ class TransientProblem:
 
     @property
     def own_nonlinear(self) -> tuple[str, ...]:
-        """Those but the temperature: a user's own, under which a certificate proves a stationary point only."""
+        """Names of a user's own limits that are not linear: under them a proof is of a stationary point only."""
         return tuple(name for name in self.nonlinear if name != TemperatureLimit.name)
 
     @cached_property

@@ -225,8 +225,8 @@ def test_what_the_emulated_board_falls_short_of_is_told() -> None:
     """Taps, refinement, memories, and the port's part of a tick."""
     taps = [Tap(0.2, 3.0, 0.0, 0.20, 0.20)] * (TAPS - 2) + [Tap(0.3, 3.0, 0.0, 0.24, 0.20)]
     sized = [("stm32f405", 10, 131_073, 8192, 201)]
-    said = misses(taps, "1 of 2 nodes refined", sized)
+    said = misses(taps, TAPS, "1 of 2 nodes refined", sized)
     assert len(said) == 5
     for words in ("a tap at 0.3 m/s: error 24.00 %", "11 of 12 taps", "refine", "SRAM is full", "201 instructions"):
         assert any(words in line for line in said), words
-    assert not misses(taps[:1] * TAPS, "2 of 2 nodes refined", [("stm32f405", 10, 131_072, 8192, 200)])
+    assert not misses(taps[:1] * TAPS, TAPS, "2 of 2 nodes refined", [("stm32f405", 10, 131_072, 8192, 200)])
