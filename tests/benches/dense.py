@@ -15,7 +15,7 @@ from transopt.base.signals import FloatArray
 from transopt.plant.discretise import StageModel
 from transopt.problem.problem import TransientProblem
 
-OUTPUTS = {"stroke": "position", "velocity": "velocity"}  # of a limit
+OUTPUTS = {"stroke": "position", "velocity": "velocity", "current": "current"}  # of a limit
 
 
 @dataclass(frozen=True)
@@ -182,9 +182,11 @@ def responses_of_current(problem: TransientProblem) -> FloatArray:
 
 
 def within(problem: TransientProblem, name: str, shares: Sequence[float]) -> tuple[FloatArray, FloatArray]:
-    """(m N, N) and (m N,) position or velocity after these shares of all periods, by the commands, and z_nom's."""
+    """(m N, N) and (m N,) a limited output after these shares of all periods, by the commands, and z_nom's."""
     nominal = problem.limits[name].nominal  # type: ignore[attr-defined]
-    rows = [getattr(responses(problem, later=share), OUTPUTS[name])[1:] for share in shares]
+    stage, grid = problem.stage, problem.grid
+    row, none = np.append(stage.plant.output(OUTPUTS[name]).row[0], 0.0), np.zeros(grid.stages)
+    rows = [linalg.toeplitz((_impulse(stage, grid.dt_s, none.size + 1, s) @ row)[1:], none) for s in shares]
     return np.concatenate(rows), np.concatenate([(1 - s) * nominal[:-1] + s * nominal[1:] for s in shares])
 
 

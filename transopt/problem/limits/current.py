@@ -43,6 +43,7 @@ class CoilCurrentLimit(OutputLimit):
     needs: ClassVar[tuple[str, ...]] = ("current",)
     said_without: ClassVar[str] = "the scene states no limit on the coil's current"
     output: ClassVar[str] = "current"
+    straight: ClassVar[bool] = False
 
     @staticmethod
     def nominal_part(setting: Setting) -> FloatArray:

@@ -13,7 +13,9 @@ replay, which follows the output at all times, checks whether it was sufficient.
 Where the margin costs much of J (`transopt.design.within`), the limit is stated at the ends of m parts of every
 period; the margin, taken from the chord of a part, then falls with 1 / m^2. For a position the parts are equal. A
 velocity and a coil's current bend most just after a new command, within the coil's time constant: their parts end at
-(j / m)^2.
+(j / m)^2. In a coil whose time constant is a small part of the period the current reaches its next value long before
+the chord does, and does not go beyond it. In place of s / dt any share in [0, 1] gives a valid bound, since such a
+point lies between the values at both ends. For a coil's current the share that fits best at each instant is taken.
 """
 
 from abc import abstractmethod
@@ -49,11 +51,13 @@ class OutputLimit(Limit):
         output without the nominal motion and by the largest command. Each fit is a valid bound; the smallest counts.
     parts : number of parts of a servo period at whose ends the limit is stated; one of `PARTS`.
     output : name of the limited output. grading : exponent p of the ends (j / parts)^p.
+    straight : whether the excursion is that from the chord; if not, from the nearest point between both ends' values.
     """
 
     output: ClassVar[str]
     of_each_device: ClassVar[bool] = True
     grading: ClassVar[int] = 2
+    straight: ClassVar[bool] = True
 
     limit: float
     nominal: FloatArray
@@ -86,7 +90,7 @@ class OutputLimit(Limit):
         nominal = np.append(own, 2 * own[-1] - own[-2] if own.size > 1 else own[-1])
         largest = setting.input_limit(asked) if stage.amplifier is None else stage.amplifier.command_limit
         whole, stages = (Fraction(1),), setting.grid.stages
-        bends = tuple(_bends(device, cls.output, stages, whole) for device in setting.devices)
+        bends = tuple(_bends(device, cls.output, stages, whole, cls.straight) for device in setting.devices)
         return cls(asked[cls.key], nominal, largest, bends)
 
     def within(self, problem: Posed, parts: int) -> Self:
@@ -94,7 +98,8 @@ class OutputLimit(Limit):
         if parts == self.parts:
             return self
         ends = (*self.shares(parts), Fraction(1))
-        bends = tuple(_bends(device, self.output, problem.grid.stages, ends) for device in problem.devices)
+        stages = problem.grid.stages
+        bends = tuple(_bends(device, self.output, stages, ends, self.straight) for device in problem.devices)
         return replace(self, bends=bends, parts=parts)
 
     @classmethod
@@ -186,14 +191,14 @@ def row_within(name: str, share: Fraction) -> str:
     return name if share == 1 else f"{name}_{share.numerator}_of_{share.denominator}"
 
 
-def _bends(stage: StageModel, output: str, stages: int, ends: tuple[Fraction, ...]) -> FloatArray:
+def _bends(stage: StageModel, output: str, stages: int, ends: tuple[Fraction, ...], straight: bool) -> FloatArray:
     """`OutputLimit.bends` of one device, cached in the stage model for the other entries of its grip."""
-    kind = "bends", output, stages, ends
-    return stage.kept(kind, (), None, lambda: _bends_of(stage, output, stages, ends))
+    kind = "bends", output, stages, ends, straight
+    return stage.kept(kind, (), None, lambda: _bends_of(stage, output, stages, ends, straight))
 
 
-def _bends_of(stage: StageModel, output: str, stages: int, ends: tuple[Fraction, ...]) -> FloatArray:
-    """(1 + fits, S, 2) bounds on the excursion e = y - chord at S instants, by max |y(tau_k)| and max |c|.
+def _bends_of(stage: StageModel, output: str, stages: int, ends: tuple[Fraction, ...], straight: bool) -> FloatArray:
+    """(1 + fits, S, 2) bounds on the excursion e of y at S instants, by max |y(tau_k)| and max |c|.
 
     Both e and y(tau_k) are linear in the commands so far, and the limit bounds y(tau_k). So for any numbers a_l
 
@@ -205,12 +210,15 @@ def _bends_of(stage: StageModel, output: str, stages: int, ends: tuple[Fraction,
     """
     row, impulse = stage.outputs[output], np.eye(1, stages + 1)[0]
     states, alone, until = stage.states(impulse), len(ends) == 1, np.eye(row.size + 1)
-    at, size = states @ row, np.abs(states).sum(axis=0)
+    curve = np.append(row, 0.0) @ stage.flow @ stage.flow
+    at, reached, size, curved = states @ row, states[:-1], np.abs(states).sum(axis=0), list[float]()
     bent, start, substeps = list[FloatArray](), at[:-1], SUBSTEPS if alone else SUBSTEPS_OF_PART
     lengths_s = stage.dt_s * np.diff(np.array([0, *ends], dtype=float)) / substeps
     for length_s, ended in zip(lengths_s, ends, strict=True):
-        course, step = [start], exponential(stage.flow * length_s)
+        course, step, steepest = [start], exponential(stage.flow * length_s), 0.0
         for j in range(1, substeps + 1):
+            if not alone:
+                steepest = max(steepest, float(np.abs(reached @ curve[:-1] + impulse[:-1] * curve[-1]).sum()))
             if ended == 1 and j == substeps:
                 course.append(at[1:])
                 continue
@@ -221,7 +229,12 @@ def _bends_of(stage: StageModel, output: str, stages: int, ends: tuple[Fraction,
                 reached = states[:-1] @ by_state.T + np.outer(impulse[:-1], by_command)
                 size = np.maximum(size, np.abs(reached).sum(axis=0))
         start = course[-1]
-        bent += [course[j] - ((1 - j / substeps) * course[0] + j / substeps * start) for j in range(1, substeps)]
+        curved.append(steepest)
+        way = start - course[0]
+        for j in range(1, substeps):
+            gone = course[j] - course[0]
+            share = j / substeps if straight else float(np.clip(gone @ way / (way @ way or 1.0), 0.0, 1.0))
+            bent.append(gone - share * way)
     responses = np.array(bent)
     found = [np.column_stack([np.zeros(len(bent)), np.abs(responses).sum(axis=1)])]
     if alone:
@@ -235,24 +248,27 @@ def _bends_of(stage: StageModel, output: str, stages: int, ends: tuple[Fraction,
         left = np.abs(responses.T - lagged[:, :lags] @ fit).sum(axis=0)
         found.append(np.column_stack([np.abs(fit).sum(axis=0), left]))
     bounds = np.array(found)
-    bounds[..., 1] += np.repeat([_unseen(stage, row, size, length_s) for length_s in lengths_s], substeps - 1)
+    unseen = [_unseen(stage, curve, most, size, g_s) for most, g_s in zip(curved, lengths_s, strict=True)]
+    bounds[..., 1] += np.repeat(unseen, substeps - 1)
     return bounds
 
 
-def _unseen(stage: StageModel, row: FloatArray, size: FloatArray, g_s: float) -> float:
+def _unseen(stage: StageModel, curve: FloatArray, curved: float, size: FloatArray, g_s: float) -> float:
     """Bound on the excursion of q from its chord within a substep of g seconds, per unit of command.
 
-    It is g^2 / 8 times the largest curvature of q; within the substep the states grow at most by the factor
-    exp(|F| g), with F the generator of the motion.
+    It is g^2 / 8 times the largest curvature of q: that at the beginning of a substep, and what it gains within g,
+    in which the states grow at most by the factor exp(|F| g), with F the generator of the motion.
 
     Parameters
     ----------
-    size : (n,) bound on the states at the beginning of any substep.
+    curve : (n + 1,) row of the curvature q'' by states and command.
+    curved : bound on the curvature at the beginning of any such substep.
+    size : (n,) bound on the states at any time.
     """
     flow = stage.flow
     with np.errstate(over="ignore", invalid="ignore"):  # the growth of states much faster than the substep
-        curvature = np.abs(np.append(row, 0.0) @ flow @ flow) @ exponential(np.abs(flow) * g_s)
-        bound = g_s**2 / 8 * float(curvature @ np.append(size, 1.0))
+        steepening = float(np.abs(curve @ flow) @ exponential(np.abs(flow) * g_s) @ np.append(size, 1.0))
+        bound = g_s**2 / 8 * (curved + g_s * steepening)
     return bound if np.isfinite(bound) else np.inf
 
 
