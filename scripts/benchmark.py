@@ -69,7 +69,7 @@ def in_a_row(problem: TransientProblem, stages: int) -> TransientProblem:
 
 
 def measure(runs: int) -> tuple[list[Row], Iterations | None, float]:
-    """All rows, times of an iteration at `STAGES` (None without the extension), and the peak memory of `transopt solve` [MB]."""
+    """All rows, times of an iteration at `STAGES` (if compiled), and the peak memory of `transopt solve` [MB]."""
     scene = problems.load("wood_on_foam")
     rows = [calibration()]
     saturated, free = entry(scene, 0.4, 5.0), entry(scene, 0.2, 3.0)
