@@ -285,7 +285,10 @@ def check_alike(names: Sequence[str], estimates: Sequence[spectrum.TransferEstim
             found.append(Check.CURRENT_ALONE.at(name, share=_share(good)))
             continue
         w, phase = 2 * np.pi * one.frequencies_Hz[good], np.unwrap(np.angle(one.response[good]))
-        delays.append((name, float(-np.polynomial.Polynomial.fit(w, phase, 1).convert().coef[1] / one.dt_s)))
+        # A sweep's end leaves noisy bins, which would move an unweighted line by half a sample.
+        known = np.abs(one.response[good]) / np.maximum(one.deviation[good], ROUNDED * np.abs(one.response[good]))
+        line = np.polynomial.Polynomial.fit(w, phase, 1, w=known).convert()
+        delays.append((name, float(-line.coef[1] / one.dt_s)))
         gains.append((name, float(np.median(np.abs(one.response[good][:LEAST_BINS])))))
     if found or len(estimates) < 3:
         return found
