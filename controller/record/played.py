@@ -297,17 +297,20 @@ def played_tap(
 def outside(contact: Contact, library: Library, settings: Settings) -> str:
     """Reason why a tap outside the library's grid cannot be judged; empty within the grid.
 
-    Outside, the edge was played, but no recorded tap exists to compare with. A library of one grip serves every grip.
+    Outside, the edge was played, but no recorded tap exists to compare with: an acceleration grows about in
+    proportion to the speed. A library of one grip serves every grip.
     """
     speeds, grips, slack_N = library.speeds_m_s, library.grips_N, settings.grid_slack_N
-    slack_m_s = settings.grid_slack * contact.speed_m_s
-    if not speeds[0] - slack_m_s <= contact.speed_m_s <= speeds[-1] + slack_m_s:
-        grid = f"{contact.speed_m_s:.3g} m/s lies outside the library's {speeds[0]:g} to {speeds[-1]:g} m/s"
+    came_m_s, edge = contact.speed_m_s, "its edge"
+    slack_m_s = settings.grid_slack * came_m_s
+    if not speeds[0] - slack_m_s <= came_m_s <= speeds[-1] + slack_m_s:
+        grid = f"{came_m_s:.3g} m/s lies outside the library's {speeds[0]:g} to {speeds[-1]:g} m/s"
+        edge += f", about {np.clip(came_m_s, speeds[0], speeds[-1]) / came_m_s:.2g} times what this speed asks for,"
     elif grips.size > 1 and not grips[0] - slack_N <= contact.grip_N <= grips[-1] + slack_N:
         grid = f"{contact.grip_N:.3g} N lies outside the library's {grips[0]:g} to {grips[-1]:g} N"
     else:
         return ""
-    return f"not judged: {grid}, so its edge was played, and no recorded tap says how near that comes"
+    return f"not judged: {grid}, so {edge} was played, and no recorded tap says how near that comes"
 
 
 def _compare(

@@ -299,6 +299,9 @@ def test_where_there_is_nothing_to_compare(library: Library, stated: Settings) -
         assert found.why.startswith("not judged: ")
         assert f" {unit} lies outside the library's " in found.verdict
         assert np.isnan(found.compared.tap_error)
+        assert ("about 0.44 times what this speed asks for" in found.why) == (beyond is fast)
+    slow = replace(good, speed_m_s=library.speeds_m_s[0] / 2)
+    assert "about 2 times what this speed asks for" in played_tap(slow, library, stated, 1.0, ACCELEROMETER).why
     edge = replace(good, speed_m_s=library.speeds_m_s[-1] * 1.01, grip_N=library.grips_N[-1] + 0.05)
     assert "not judged" not in played_tap(edge, library, stated, 1.0, ACCELEROMETER).why
     sparse = replace(good, **{name: getattr(good, name)[::3] for name in ("ticks", "counts", "acceleration_m_s2")})
