@@ -31,7 +31,7 @@ class Fault(StrEnum):
     CLIPPED = "clipped sensor"
     SATURATED = "saturated command"
     NO_EXCITATION = "no excitation"
-    CUT_SHORT = "not at rest at the end"
+    CUT_SHORT = "not at rest at both ends"
     JITTER = "jittered sampling"
     MISSING = "samples missing"
     RATES = "rates that differ"
