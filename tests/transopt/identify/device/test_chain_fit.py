@@ -116,10 +116,35 @@ def test_a_hand_that_is_no_line_over_grip_shows_against_the_fit_of_its_own_grip(
         assert one.difference_dB < 0.1
 
 
+def test_intervals_that_do_not_hold_the_truth_are_said_to(measured: Measured, plain: ChainFit) -> None:
+    """A hand at one grip that is a few per cent off the line makes little misfit and drives the others far off."""
+    assert plain.meaningless() == []
+    responses = measured(DEFAULT)
+    responses[2] = measured(DriveChain(1.25, DEFAULT.shared, 0.98 * DEFAULT.hand))[2]
+    fit = refit(plain, responses)
+    assert 1.3 < fit.scatter < 3
+    _, values, covariance, _ = fit.stated()
+    _, truth, _ = fit.coordinates.stated(fit.coordinates.of(DEFAULT))
+    assert np.mean(np.abs(values - truth) > 1.96 * np.sqrt(np.diag(covariance))) > 0.3
+    assert "intervals do not hold" in fit.meaningless()[0]
+
+
 def test_noise_beyond_the_stated_one_widens_the_intervals(measured: Measured, plain: ChainFit) -> None:
     loud = fit_chain(measured(DEFAULT, noise=3.0), INSTRUMENT, DEFAULT, random_starts=0)
     ratio = np.sqrt(np.diag(loud.covariance) / np.diag(plain.covariance))
     assert np.all((ratio > 2.5) & (ratio < 3.5))
+
+
+@pytest.mark.parametrize("seed", [4, 5])
+def test_a_slow_accelerometer_is_none_of_the_device(respond: Respond, seed: int) -> None:
+    """The first search may end at 215 Hz, in other masses: what is left then is 1.5 times the noise."""
+    truth, random = mismatched(0.4, seed), np.random.default_rng(seed)
+    slow = replace(INSTRUMENT, accelerometer_Hz=200.0)
+    records = [respond(truth.plant(grip), grip, 1.0, random, slow) for grip in (1.0, 3.0, 5.0)]
+    fit = fit_chain(records, INSTRUMENT, DEFAULT)
+    (found,) = fit.nuisances
+    assert (found.name, found.value) == ("accelerometer_pole", pytest.approx(200.0, rel=0.01))
+    np.testing.assert_allclose(fit.device.shared, truth.shared, rtol=0.01)
 
 
 def test_the_free_device_alone_is_refused_with_what_to_do(measured: Measured) -> None:
