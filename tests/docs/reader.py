@@ -40,11 +40,10 @@ class Reader:
     Parameters
     ----------
     folder : where everything is saved and run; what it holds before is what the page assumes.
-    home : of programs that keep something there.
     """
 
-    def __init__(self, folder: Path, home: Path) -> None:
-        self.folder, self.home, self._names = folder, home, dict[str, object]()
+    def __init__(self, folder: Path) -> None:
+        self.folder, self._names = folder, dict[str, object]()
 
     def do(self, block: Block) -> None:
         """Save it or run it, as its language asks for; it prints what the page says."""
@@ -55,12 +54,9 @@ class Reader:
 
     def run(self, *command: str) -> "subprocess.CompletedProcess[str]":
         """Without input from a terminal, in the environment of the tests."""
-        environment = {**os.environ, "HOME": str(self.home), "XDG_CACHE_HOME": str(self.home / "cache")}
-        environment["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), environment["PATH"]])
         return subprocess.run(
             command,
             cwd=self.folder,
-            env=environment,
             capture_output=True,
             text=True,
             check=False,
@@ -98,8 +94,7 @@ class Reader:
     @contextmanager
     def _device(self, option: str) -> Iterator[str]:
         """A device that runs, by the name of its pseudo-terminal."""
-        program = Path(sys.executable).parent / "transopt-device"
-        command = [str(program), option, "--like", "wood_on_foam", "--vouches"]
+        command = ["transopt-device", option, "--like", "wood_on_foam", "--vouches"]
         with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as device:
             try:
                 yield device.stdout.readline().strip()

@@ -6,7 +6,11 @@ Output that follows a block on the page has to be what the block prints. In its 
 only (`tests/docs/test_pages.py`); `-m long` runs them, which takes a minute.
 """
 
+import os
 import shutil
+import signal
+import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -14,6 +18,7 @@ import pytest
 from tests.benches.model_parts import amplifier_part, drive_device
 from tests.docs.pages import PAGES, fenced, named
 from tests.docs.reader import Reader, put_into_a_scene, unsaid
+from tests.docs.warm import warm
 from transopt.scene.builtin import load_scene
 from transopt.scene.model_file import save_part
 
@@ -25,15 +30,22 @@ ON_PAPER = {page: [block for block in fenced(page) if block.language in RUN and 
 
 
 @pytest.fixture(scope="module")
-def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("home")
+def commands(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Programs have a home of their own, and the commands are on the path, loaded already."""
+    home = tmp_path_factory.mktemp("home")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("HOME", str(home))
+        patch.setenv("XDG_CACHE_HOME", str(home / "cache"))
+        with warm(tmp_path_factory.mktemp("commands")) as path:
+            patch.setenv("PATH", path)
+            yield
 
 
 @pytest.fixture(scope="module")
-def assumed(tmp_path_factory: pytest.TempPathFactory, home: Path) -> Path:
+def assumed(tmp_path_factory: pytest.TempPathFactory, commands: None) -> Path:
     """What the first steps of the manual leave: a library, and the model file of a device."""
     folder = tmp_path_factory.mktemp("assumed")
-    ended = Reader(folder, home).run("transopt", "solve")
+    ended = Reader(folder).run("transopt", "solve")
     assert ended.returncode == 0, ended.stderr
     shutil.copy(folder / "out/wood_on_foam/library.npz", folder / "library.npz")
     save_part(folder / "MODEL.json", "device", drive_device())
@@ -41,11 +53,59 @@ def assumed(tmp_path_factory: pytest.TempPathFactory, home: Path) -> Path:
     return folder
 
 
+def typed(command: str, folder: Path) -> "subprocess.Popen[str]":
+    """A command by itself in a folder, where an interpreter says so if it starts."""
+    (folder / "sitecustomize.py").write_text("print('started', flush=True)")
+    shell, environment, pipe = (
+        ["bash", "-c", f"exec {command}"],
+        {**os.environ, "PYTHONPATH": str(folder)},
+        subprocess.PIPE,
+    )
+    return subprocess.Popen(shell, cwd=folder, env=environment, stdout=pipe, stderr=pipe, text=True)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("command", "code"),
+    [("transopt scene new mine.toml", 0), ("transopt-play doctor --help", 0), ("transopt taps none.csv", 2)],
+)
+def test_a_command_is_first_cold_and_then_cannot_be_told_from_it(
+    command: str, code: int, commands: None, tmp_path: Path
+) -> None:
+    ends = []
+    for name in ("cold", "warm"):
+        (tmp_path / name).mkdir()
+        with typed(command, tmp_path / name) as process:
+            out, errors = process.communicate(timeout=50)
+        ends.append((out.replace(name, "cold"), errors.replace(name, "cold"), process.returncode))
+    (said, *cold), warm = ends
+    assert cold[-1] == code
+    assert warm == (said.removeprefix("started\n"), *cold)
+    assert said != warm[0]
+    assert (tmp_path / "warm/mine.toml").exists() == ("new" in command)
+
+
+@pytest.mark.long
+def test_ctrl_c_ends_it_as_the_cold_one(commands: None, tmp_path: Path, pseudo_terminal: None) -> None:
+    ends = []
+    for _ in range(2):
+        ours, port = os.openpty()
+        with typed(f"transopt-play monitor --port {os.ttyname(port)}", tmp_path) as process:
+            os.read(ours, 1)  # it has asked who is there
+            process.send_signal(signal.SIGINT)
+            out, errors = process.communicate(timeout=50)
+        ends.append((out, errors, process.returncode))
+        os.close(ours)
+        os.close(port)
+    assert ends[0] == (f"started\n{ends[1][0]}", *ends[1][1:])
+    assert ends[0][2] == 130
+
+
 @pytest.mark.long
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("page", [page for page, own in ON_PAPER.items() if own], ids=named)
 def test_the_blocks_of_a_page_run_in_their_order(
-    page: Path, tmp_path: Path, home: Path, request: pytest.FixtureRequest
+    page: Path, tmp_path: Path, commands: None, request: pytest.FixtureRequest
 ) -> None:
     folder = tmp_path / "here"
     if named(page).startswith(FROM_NOTHING):
@@ -57,7 +117,7 @@ def test_the_blocks_of_a_page_run_in_their_order(
         shutil.copytree(RECORDINGS, folder / "recordings")  # where the scene that is copied there expects them
         for other in ("out/other", "mine"):
             shutil.copytree(request.getfixturevalue("assumed") / "out/wood_on_foam", folder / other)
-    reader = Reader(folder, home)
+    reader = Reader(folder)
     for block in ON_PAPER[page]:
         reader.do(block)
 
