@@ -37,8 +37,9 @@ INKED = """([name, place]) => {
 class Window:
     """A window of the page, and what went wrong in it."""
 
-    def __init__(self, browser: Any, address: str, **how: Any) -> None:
-        self.tab = browser.new_page(**{"viewport": {"width": 1280, "height": 800}, **how})
+    def __init__(self, browser: Any, address: str, **media: Any) -> None:
+        self.tab = browser.new_page()
+        self.tab.emulate_media(**media)
         self.errors: list[str] = []
         self.tab.on("pageerror", lambda error: self.errors.append(str(error)))
         self.tab.on("console", lambda said: self.errors.append(said.text) if said.type == "error" else None)
@@ -46,6 +47,12 @@ class Window:
         self.tab.on("request", lambda request: self.requests.append(request.url))
         self.tab.goto(address)
         self.rests()
+
+    def forgets(self) -> None:
+        """Delete what the page has kept in the browser, where the next window would find it."""
+        self.tab.context.new_cdp_session(self.tab).send(
+            "Storage.clearDataForOrigin", {"origin": self.tab.evaluate("() => origin"), "storageTypes": "all"}
+        )
 
     def rests(self) -> None:
         """Wait until everything is certified or refused, replayed and priced."""
