@@ -6,9 +6,9 @@ Every entry has the 800 stages of the scene `wood_on_foam`, at 10 speeds of 0.2 
 with limits of the current of 1.2 to 2 A, so that the limit binds in every one. Two worker processes solve all of
 them, this process and two workers of dask (where it is installed) fewer. Memory is resident memory (Linux), of this
 process and of the largest worker; its growth is the slope of a straight line from the 500th entry on, when the caches
-of stage models and references are full. The PIQP wheel is called in the same run on the QP of one entry, so that the
-ratio compares machines. Exit code 1 if the executors give different rows, apart from times, or if an
-entry is not certified.
+of stage models and references are full. The PIQP wheel is called in the same run on the QP of one entry: machines
+compare by the ratio. Exit code 1 if the executors give different rows, apart from times, or if an entry is not
+certified.
 """
 
 import os

@@ -27,6 +27,7 @@ from transopt.files.units import UNITS, likely_units
 _UNIFORM = 0.01  # steps: stamps closer than this to the uniform grid count as on it
 _ASTRAY = 0.45  # steps: a stamp farther off the grid carries no time; its sample counts as missing
 _MISSING = 0.01  # share of all samples that may be missing and are interpolated
+_AT_MOST = f"at most {100 * _MISSING:g} % are interpolated; record again, or keep the rows of one stretch"
 _IN_A_ROW = 1  # missing samples in a row that a spline can interpolate
 _JITTER = 0.35  # steps, rms: above it the sampling instants are unknown
 _BESIDE = 8  # stamps on either side of a long step, which show whether a row was lost
@@ -193,9 +194,11 @@ def _to_si(name: str, values: FloatArray, table: RawTable) -> FloatArray:
     converted = table.meanings[name].unit.factor * values
     bad = np.flatnonzero(~(np.abs(converted) <= LARGEST))
     if bad.size:
-        at = int(bad[0])
-        limit = f"must be finite and at most {LARGEST:g} in SI units"
-        raise InputError(f"{table.place(at)}, column {name}: {values[at]:g}: {limit}; correct it or cut the file")
+        at, lost = int(bad[0]), np.count_nonzero(np.isnan(values))
+        limit, remedy = f"must be finite and at most {LARGEST:g} in SI units", "correct it or cut the file"
+        if lost > max(_MISSING * values.size, 1):
+            remedy = f"{lost} of {values.size} are lost or blank, {_AT_MOST}"
+        raise InputError(f"{table.place(at)}, column {name}: {values[at]:g}: {limit}; {remedy}")
     return converted
 
 
@@ -265,8 +268,7 @@ def _clock(times: FloatArray, place: Callable[[int], str], step_range_s: tuple[f
         where = f"first after {place(int(gaps[0]))} ({times[gaps[0]]:.6g} s)" if gaps.size else "at its end"
         missing = f"{lost} of {size} samples lost or without a time, {where}"
         if lost > max(_MISSING * size, 1):
-            limit = f"at most {100 * _MISSING:g} % are interpolated; record again, or keep the rows of one stretch"
-            raise InputError(f"{missing}: {limit}")
+            raise InputError(f"{missing}: {_AT_MOST}")
         missing += ": interpolated"
     rms = float(np.sqrt(np.mean(jitter[good] ** 2)))
     if rms > _JITTER:

@@ -217,7 +217,7 @@ def fit_response(
         weight = 1 / deviations
         noise = float(np.sqrt(2 * f.size) / np.linalg.norm(weight * G))
         weight = weight / weight.max()
-    poles = _resolved(vector_fit(s, G / largest, weight, order, True, relocations), f, top)
+    poles = _resolved(vector_fit(s, G / largest, weight, order, direct=True, relocations=relocations), f, top)
     free, held = (_nearest(s, G / largest, poles, weight, rests=zeros and order > 1) for zeros in (False, True))
     misfits = [_misfit(s, G / largest, poles, row, weight) for row in (free, held)]
     rests = order > 1 and bool(misfits[1] <= max(COSTS_NOTHING * misfits[0], EXACT))

@@ -336,7 +336,9 @@ def test_blanks_that_are_not_regular_are_lost_samples(tmp_path: Path, blank: set
     rows = [row.partition(",")[0] + "," if k in blank else row for k, row in enumerate(IN_G.split())]
     content = "\n".join(["time [s],acc [g]", *rows])
     if len(blank) > 1:
-        assert refusal(tmp_path, content).startswith(f"row {min(blank) + 2}, column acc [g]: nan: must be finite")
+        said = refusal(tmp_path, content)
+        assert said.startswith(f"row {min(blank) + 2}, column acc [g]: nan: must be finite")
+        assert f"{len(blank)} of {len(rows)} are lost or blank, at most 1 % are interpolated; record again" in said
         return
     recording = load(tmp_path, content)
     np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=0.02 * np.abs(TAP_M_S2).max())

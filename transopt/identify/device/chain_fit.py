@@ -267,6 +267,7 @@ def fit_chain(
         whole = np.concatenate(start)
         reached.append(min((second.coarse(one) for one in (whole, first.coarse(whole)[0])), key=lambda one: one[1]))
         tick()
+        # The exact fit decides between coarse ends that are alike: sums of squares that differ by 1 are.
         if reached[-1][1] <= (1 + SAME) * min(cost for _, cost in reached) + 1:
             tried = exact.maximum(reached[-1][0])
             best = tried if best is None or tried.total < best.total else best

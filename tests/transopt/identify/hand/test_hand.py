@@ -305,7 +305,7 @@ def resampled(x: Signal, times: int) -> Signal:
         ),
         (
             times("acceleration", G),
-            r"acceleration is (9|10)\.\d+ times that of the position, .* but named acceleration_g\? Correct its name",
+            r"acceleration is (9\.[3-9]|10\.[0-2])\d* times that of .* but named acceleration_g\? Correct its name",
         ),
         (times("acceleration", 1.5), r"acceleration is 1\.[45]\d* times .*must agree within 20 %"),
         (part(slice(None, 500)), r"the record ends (19\.9|20) ms after contact: 30 ms are needed"),
